@@ -1,13 +1,13 @@
 """Excitation: design of motions for identification, and identifiability of parameters.
 
-    limits = motion_limits(model, bounded=True)               # what the robot may do
-    target = make_target(model, noise=0.1)                    # what is unknown, measured how well
+    limits = motion_limits(model, bounded=True)               # of the robot's joints
+    target = make_target(model, noise=0.1)                    # unknown parameters and noise
     result = design_excitation(target, limits, trajectory=FourierMotion(10.0, 5))
     write_trajectory(result.executed, "motion.csv", model)
 
-A motion is judged by the eigenvalues of its information matrix, normalized so that neither frames
-nor units nor the choice of base parameters matter ([Lee2019] Proposition 4.1); or by how far apart
-two effects are on it (`geodrake.excitation.tell_apart`).
+The criterion of a motion is a function of the eigenvalues of its information matrix, normalized to
+be independent of frames, units and the choice of base parameters ([Lee2019] Proposition 4.1), or
+the separation of two effects (`geodrake.excitation.tell_apart`).
 """
 
 from geodrake.excitation.collisions import CollisionWorld, Solid

@@ -1,10 +1,10 @@
 """Families of motions: positions, velocities and accelerations linear in a few coefficients.
 
-Every joint has coefficients c of its own, and at times t
+Every joint has its own coefficients c, and at times t
 
     q = Φ₀(t) c,   v = Φ₁(t) c,   v̇ = Φ₂(t) c,
 
-so that a gradient with respect to the motion becomes one with respect to c by Φᵀ. The jerk is Φ₃ c.
+so Φᵀ maps a gradient with respect to the motion to one with respect to c. The jerk is Φ₃ c.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 
 _DURATIONS, _PERIODS = (1e-2, 1e5), (1e-4, 1e6)  # s; of the fastest and slowest part of a motion
-_MOST_COEFFICIENTS = 1000  # of a joint
-_LARGEST_BASIS = 30_000_000  # numbers: instants at which limits hold, times coefficients
+_MOST_COEFFICIENTS = 1000  # per joint
+_LARGEST_BASIS = 30_000_000  # entries of a basis: instants times coefficients
 _MOST_ORDERS = 8  # derivatives
-_INDEPENDENT = 1e-9  # relative size of a condition that the others do not imply
+_INDEPENDENT = 1e-9  # rank tolerance of end conditions
 
 
 class MotionFamily(abc.ABC):
@@ -33,8 +33,7 @@ class MotionFamily(abc.ABC):
 
     Class attributes:
         name: Name in commands and reports.
-        timed: Whether the samples of a motion follow each other in time, so that a robot can
-            execute it.
+        timed: Whether samples are ordered in time, so a robot can execute the motion.
     """
 
     name: ClassVar[str]
@@ -48,21 +47,21 @@ class MotionFamily(abc.ABC):
 
     @property
     def length(self) -> float:
-        """Duration, s; zero if samples do not follow each other."""
+        """Duration, s; zero if samples are not ordered in time."""
         return self.duration
 
     @property
     @abc.abstractmethod
     def fastest(self) -> float:
-        """Shortest time in which the motion does something, s: a period, or between knots."""
+        """Shortest time scale of the motion, s: a period, or intervals between knots."""
 
     @property
     def steepness(self) -> float:
-        """Bound on the ratio of the maxima of a derivative and its function, 1/s; inf for none."""
+        """Upper bound on max |ḟ| / max |f| for all functions of the family, 1/s; inf for none."""
         return np.inf
 
     def basis(self, times: ArrayLike, *, orders: int = 3) -> Array:
-        """Return (orders, N, count) matrices Φ₀, Φ₁, Φ₂, … at times (N,), s."""
+        """Return the matrices Φ₀, Φ₁, Φ₂, … (orders, N, count) at times (N,), s."""
         integer(orders, "orders", lower=1, upper=_MOST_ORDERS)
         t = np.atleast_1d(real_array(times, "times"))
         return np.asarray(self._basis(real_array(t, "times", ("N",)), orders))
@@ -72,19 +71,19 @@ class MotionFamily(abc.ABC):
         """Return the matrices at instants (N,)."""
 
     def times(self, samples: int) -> Array:
-        """Return (samples,) uniform instants from start to end, s."""
+        """Return uniform instants (samples,) from start to end, s."""
         return np.linspace(0.0, self.length, integer(samples, "samples", lower=1))
 
     def limit_times(self, share: float = 0.05) -> Array:
-        """Return instants so close that limits which hold there hold between them."""
-        needed = self.length / (number(share, "share", lower=0.0, strict=True) * self.fastest)
-        if 3 * needed * self.count > _LARGEST_BASIS:
+        """Return instants at steps of a share of the shortest time scale, to check limits, s."""
+        instants = self.length / (number(share, "share", lower=0.0, strict=True) * self.fastest)
+        if 3 * instants * self.count > _LARGEST_BASIS:
             raise ArgumentError(
                 f"A {self.name} motion of {self.length:g} s with details of {self.fastest:g} "
-                f"s is too long: limits would be checked at {needed:.2g} instants.",
+                f"s is too long: limits would be checked at {instants:.2g} instants.",
                 advice="Make it shorter or slower.",
             )
-        return self.times(max(2, int(np.ceil(needed)) + 1))
+        return self.times(max(2, int(np.ceil(instants)) + 1))
 
     def conditions(self, *, rest: bool, start: bool) -> Array:
         """Return independent rows E (k, count) of the end conditions, which fix E c.
@@ -117,12 +116,12 @@ class FourierMotion(MotionFamily):
 
         q = c₀ + Σⱼ aⱼ cos jωt + bⱼ sin jωt
 
-    with the coefficients c₀ (unless left out), a₁, b₁, a₂, b₂, …
+    with the coefficients c₀ (if any), a₁, b₁, a₂, b₂, …
 
     Attributes:
         duration: Length of the motion, s.
         frequency: ω, rad/s; one period in the whole duration if None.
-        offset: Whether there is a c₀.
+        offset: Whether to include c₀.
     """
 
     duration: float = 10.0
@@ -146,7 +145,7 @@ class FourierMotion(MotionFamily):
 
     @property
     def count(self) -> int:
-        """Return two coefficients a mode, and the offset."""
+        """Two coefficients per mode, plus the offset."""
         return 2 * self.modes + self.offset
 
     @property
@@ -156,7 +155,7 @@ class FourierMotion(MotionFamily):
 
     @property
     def steepness(self) -> float:
-        """Return the last mode's rate, by Bernstein's inequality, for whole periods.
+        """The rate of the last mode by Bernstein's inequality, if the motion has a whole period.
 
         |f'| ≤ nω max |f| for a trigonometric polynomial f of degree n.
         """
@@ -167,12 +166,12 @@ class FourierMotion(MotionFamily):
         """Return 1, cos jωt, sin jωt and their derivatives."""
         rates = self.omega * np.arange(1, self.modes + 1)
         cosine, sine = np.cos(np.outer(t, rates)), np.sin(np.outer(t, rates))
-        turns = cosine, -sine, -cosine, sine  # cos and its derivatives; of sin, one turn behind
+        derivatives = cosine, -sine, -cosine, sine  # of cos; those of sin lag by one
         first = 1 if self.offset else 0
         Phi = np.zeros((orders, len(t), self.count))
         for order in range(orders):
-            Phi[order, :, first::2] = rates**order * turns[order % 4]
-            Phi[order, :, first + 1 :: 2] = rates**order * turns[(order - 1) % 4]
+            Phi[order, :, first::2] = rates**order * derivatives[order % 4]
+            Phi[order, :, first + 1 :: 2] = rates**order * derivatives[(order - 1) % 4]
         Phi[0, :, :first] = 1.0
         return Phi
 
@@ -184,7 +183,7 @@ class SplineMotion(MotionFamily):
     Attributes:
         duration: Length of the motion, s.
         points: Number of control points, which are the coefficients.
-        degree: Degree of the polynomials, 3 to 5: five makes even the jerk smooth.
+        degree: Degree of the polynomials, 3 to 5; with 5 the jerk is smooth.
     """
 
     duration: float = 10.0
@@ -200,12 +199,12 @@ class SplineMotion(MotionFamily):
 
     @property
     def count(self) -> int:
-        """Return the control points."""
+        """Number of control points."""
         return self.points
 
     @property
     def fastest(self) -> float:
-        """Two intervals between knots, s, or all of it if there is but one."""
+        """Two intervals between knots, s, or the duration if there is only one."""
         return 2.0 * self.duration / max(self.points - self.degree, 2)
 
     @property
@@ -215,16 +214,16 @@ class SplineMotion(MotionFamily):
         return np.concatenate([np.zeros(self.degree), inner, np.full(self.degree, self.duration)])
 
     def _basis(self, t: Array, orders: int) -> Array:
-        """Return basis functions and their derivatives."""
+        """Return the basis functions and their derivatives."""
         spline = BSpline(self.knots, np.eye(self.points), self.degree)
         return np.stack([spline(t, nu=order) for order in range(orders)])
 
 
 @dataclass(frozen=True)
 class FreeSamples(MotionFamily):
-    """Samples that need not follow each other: q, v and v̇ of each are coefficients.
+    """Samples that are not ordered in time; q, v and v̇ of each are coefficients.
 
-    They bound what a motion can identify, and suit robots that are measured point by point.
+    They bound the information of any motion, and suit robots that are measured point by point.
     """
 
     samples: int = 50
@@ -237,7 +236,7 @@ class FreeSamples(MotionFamily):
 
     @property
     def count(self) -> int:
-        """Three coefficients a sample: all q, then all v, then all v̇."""
+        """Three coefficients per sample: all q, then all v, then all v̇."""
         return 3 * self.samples
 
     @property
@@ -254,19 +253,19 @@ class FreeSamples(MotionFamily):
         return np.zeros(self.samples)
 
     def _basis(self, t: Array, orders: int) -> Array:
-        """Return (3, samples, count): each picks its third of the coefficients, at every time."""
+        """Return (3, samples, count) matrices that select q, v and v̇ of every sample."""
         if orders > 3:
             raise ArgumentError("Free samples have no jerk.")
         return np.eye(self.count).reshape(3, self.samples, self.count)
 
     def conditions(self, *, rest: bool, start: bool) -> Array:
-        """Return no rows, as there is neither start nor end."""
+        """Return no rows: there is no start or end."""
         return np.zeros((0, self.count))
 
 
 @dataclass(frozen=True)
 class JoinedMotion(MotionFamily):
-    """Motions one after the other, whose coefficients follow each other, too."""
+    """A sequence of motions, with concatenated coefficients."""
 
     parts: tuple[MotionFamily, ...]
 
@@ -274,12 +273,12 @@ class JoinedMotion(MotionFamily):
 
     @property
     def starts(self) -> Array:
-        """Instants at which parts begin, s, and the end."""
+        """Start times of the parts, s, and the end."""
         return np.cumsum([0.0, *(part.length for part in self.parts)])
 
     @property
     def count(self) -> int:
-        """Return the coefficients of all parts."""
+        """Number of coefficients of all parts."""
         return sum(part.count for part in self.parts)
 
     @property
@@ -289,22 +288,22 @@ class JoinedMotion(MotionFamily):
 
     @property
     def fastest(self) -> float:
-        """Shortest time of all parts, s."""
+        """Shortest time scale of all parts, s."""
         return min(part.fastest for part in self.parts)
 
     def limit_times(self, share: float = 0.05) -> Array:
-        """Return those of all parts."""
-        own = [part.limit_times(share)[1:] for part in self.parts]
-        return np.concatenate([[0.0], *map(np.add, self.starts[:-1], own)])
+        """Return the instants of all parts."""
+        times = [part.limit_times(share)[1:] for part in self.parts]
+        return np.concatenate([[0.0], *map(np.add, self.starts[:-1], times)])
 
     def _basis(self, t: Array, orders: int) -> Array:
-        """Return every part's own while it lasts."""
+        """Return the bases of the parts, each at its own instants."""
         starts = self.starts
-        which = np.clip(np.searchsorted(starts, t, side="left") - 1, 0, len(self.parts) - 1)
-        found, first = np.zeros((orders, len(t), self.count)), 0
+        active = np.clip(np.searchsorted(starts, t, side="left") - 1, 0, len(self.parts) - 1)
+        Phi, first = np.zeros((orders, len(t), self.count)), 0
         for k, part in enumerate(self.parts):
-            own, last = np.flatnonzero(which == k), first + part.count
-            since = np.clip(t[own] - starts[k], 0.0, part.length)
-            found[:, own, first:last] = part.basis(since, orders=orders)
+            rows, last = np.flatnonzero(active == k), first + part.count
+            local = np.clip(t[rows] - starts[k], 0.0, part.length)
+            Phi[:, rows, first:last] = part.basis(local, orders=orders)
             first = last
-        return found
+        return Phi

@@ -1,4 +1,4 @@
-"""Limits of a robot's joints, and whether they allow motion."""
+"""Motion limits of a robot's joints."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ ByJoint = float | Mapping[str, float] | ArrayLike | None
 FULL_SPEED, FULL_EFFORT = 0.2, 0.1
 """Shortest times in which a joint may reach its largest speed, and its largest acceleration, s."""
 
-_FARTHEST = 1e9  # rad or m: a limit beyond is none
+_FARTHEST = 1e9  # rad or m, from which a position counts as unlimited
 _SIZES = ("velocity", "acceleration", "effort", "jerk")
-_POSTURES = 200  # random ones, for the worst inertia
+_POSTURES = 200  # random postures to find the largest inertia
 
 
 @dataclass(frozen=True, eq=False)
 class MotionLimits(Short):
-    """Limits of the nv joints of a robot, which must be of one degree of freedom each.
+    """Limits of the nv joints of a robot, with one degree of freedom each.
 
     Attributes:
         lower: (nv,) least positions, rad or m.
@@ -60,24 +60,24 @@ class MotionLimits(Short):
             object.__setattr__(self, field.name, values.copy())
         for j, joint in enumerate(self.joints):
             low, high = float(self.lower[j]), float(self.upper[j])
-            room, places = f"Joint {joint!r} has no range of motion: its", f"{low:g} … {high:g}"
+            fixed, interval = f"Joint {joint!r} has no range of motion: its", f"{low:g} … {high:g}"
             sizes = {name: float(getattr(self, name)[j]) for name in _SIZES}
-            none = next((name for name, size in sizes.items() if not size > 0), None)
+            zero = next((name for name, size in sizes.items() if not size > 0), None)
             if not low < high:
-                words = f"{room} positions are limited to {places}."
+                problem = f"{fixed} positions are limited to {interval}."
                 advice = "Correct the limits, or weld the joint."
             elif not -_FARTHEST < low < high < _FARTHEST:
-                words = f"The position of joint {joint!r} is not limited: {places}."
+                problem = f"The position of joint {joint!r} is not limited: {interval}."
                 advice = f"Limit it, such as position={{{joint!r}: (-0.5, 0.5)}}."
-            elif none is not None:
-                words = f"{room} largest {none} is {sizes[none]:g}."
-                advice = f"Give it a positive limit of {none}, or weld the joint."
+            elif zero is not None:
+                problem = f"{fixed} largest {zero} is {sizes[zero]:g}."
+                advice = f"Give it a positive {zero} limit, or weld the joint."
             elif not sizes["velocity"] < np.inf:
-                words = f"The velocity of joint {joint!r} is unlimited, so there is no best motion."
+                problem = f"The velocity of joint {joint!r} is unlimited, so no motion is optimal."
                 advice = f"Limit it, such as velocity={{{joint!r}: 1.0}}."
             else:
                 continue
-            raise ArgumentError(words, advice=advice, joint=joint)
+            raise ArgumentError(problem, advice=advice, joint=joint)
 
     @property
     def middle(self) -> Array:
@@ -86,11 +86,11 @@ class MotionLimits(Short):
 
     @property
     def reach(self) -> Array:
-        """(nv,) half of the ranges of positions, rad or m."""
+        """(nv,) half the ranges of positions, rad or m."""
         return 0.5 * (self.upper - self.lower)
 
     def scaled(self, share: float) -> MotionLimits:
-        """Return the same with a share of everything; positions shrink towards the middle."""
+        """Return limits scaled by a share; positions shrink towards the middle."""
         positive(share, "share")
         return replace(
             self,
@@ -115,90 +115,90 @@ def motion_limits(
 ) -> MotionLimits:
     """Return the limits of a robot's model file, with overrides.
 
-    Efforts are no more than the model knows its motors to give (`EffortSignal.limit`). A turning
-    joint whose position is not limited may go half a turn to either side. Joints of a floating base
-    have no limits, and are left out.
+    Efforts do not exceed the known capability of the motors (`EffortSignal.limit`). An unlimited
+    revolute joint may go half a turn to either side. Joints of a floating base have no limits and
+    are omitted.
 
     Args:
         position: Least and greatest position of joints by name, rad or m.
-        velocity: Largest speed: one, one for each, or by name for some joints, rad/s or m/s.
+        velocity: Largest speed: one, one per joint, or by name for some joints, rad/s or m/s.
         acceleration: Largest acceleration, likewise, rad/s² or m/s².
         effort: Largest effort, likewise, N·m or N.
         jerk: Largest jerk, likewise, rad/s³ or m/s³.
-        bounded: Whether accelerations and jerks that the file does not limit are those of
-            `motor_accelerations`, and a tenth of a second's rise to them.
+        bounded: Whether to limit accelerations that the file does not limit by
+            `motor_accelerations`, and jerks to reach the acceleration in a tenth of a second.
     """
     instance(model, "model", RobotModel)
-    model.positions(np.zeros((1, len(model.joints))))  # refuses joints of several degrees
+    model.positions(np.zeros((1, len(model.joints))))  # rejects joints with several degrees
     joints = motors_of(model)
-    at = np.flatnonzero(np.isin(model.joints, joints))
-    lower, upper = (ends[at] for ends in model.position_limits)
+    index = np.flatnonzero(np.isin(model.joints, joints))
+    lower, upper = (ends[index] for ends in model.position_limits)
     turning = np.array([name not in model.sliding_joints for name in joints])
     lower = np.where(turning & np.isneginf(lower), np.minimum(-np.pi, upper - 2 * np.pi), lower)
     upper = np.where(turning & np.isposinf(upper), np.maximum(np.pi, lower + 2 * np.pi), upper)
     ranges = {} if position is None else instance(position, "position", Mapping)
     for joint, pair in ranges.items():
-        own = _index(joints, joint)
-        lower[own], upper[own] = real_array(pair, f"position of {joint}", (2,), finite=False)
-    found = MotionLimits(
+        k = _index(joints, joint)
+        lower[k], upper[k] = real_array(pair, f"position of {joint}", (2,), finite=False)
+    limits = MotionLimits(
         joints,
         lower,
         upper,
-        _overridden(joints, model.velocity_limits[at], velocity, "velocity"),
+        _overridden(joints, model.velocity_limits[index], velocity, "velocity"),
         np.full(len(lower), np.inf),
-        _overridden(joints, model.known_effort_limits[at], effort, "effort"),
+        _overridden(joints, model.known_effort_limits[index], effort, "effort"),
     )
-    accelerations = model.acceleration_limits[at]
+    accelerations = model.acceleration_limits[index]
     if bounded:
         stated = np.isfinite(accelerations)
-        accelerations = np.where(stated, accelerations, motor_accelerations(model, found))
+        accelerations = np.where(stated, accelerations, motor_accelerations(model, limits))
     accelerations = _overridden(joints, accelerations, acceleration, "acceleration")
     jerks = accelerations / FULL_EFFORT if bounded else np.full(len(lower), np.inf)
-    return replace(found, acceleration=accelerations, jerk=_overridden(joints, jerks, jerk, "jerk"))
+    jerks = _overridden(joints, jerks, jerk, "jerk")
+    return replace(limits, acceleration=accelerations, jerk=jerks)
 
 
 def motors_of(model: RobotModel) -> tuple[str, ...]:
-    """Return the names of a robot's joints but those of a floating base."""
+    """Return the names of a robot's joints except those of a floating base."""
     return tuple(name for name in model.joints if name not in model.base_joints)
 
 
 def motor_accelerations(model: RobotModel, limits: MotionLimits) -> Array:
     """Return accelerations of joints without stated limits, rad/s² or m/s².
 
-    The lesser of two: what the motor's whole effort gives to the joint's inertia Mⱼⱼ(q) where that
-    is greatest within the limits of position, the other joints and a base at rest; and the largest
-    speed in 0.2 s, since inertias of wrists are so small that model files without their rotors let
-    them do anything. Gravity and couplings count in the efforts of a design itself.
+    Each is the smaller of two: the effort limit over the largest joint inertia Mⱼⱼ(q) within the
+    position limits; and the velocity limit over 0.2 s, as model files without rotor inertias would
+    allow wrists excessive accelerations. Gravity and couplings enter the efforts of a design.
     """
-    random, at = np.random.default_rng(0), np.flatnonzero(np.isin(model.joints, limits.joints))
-    shares = random.uniform(-1.0, 1.0, (_POSTURES, len(at)))
-    q, still = np.zeros((2, _POSTURES, len(model.joints)))
-    q[:, at] = limits.middle + limits.reach * shares
-    held, inertia = model.effort(Motion(q, still, still)), np.empty(len(at))
-    for k, j in enumerate(at):
-        pushed = still.copy()
-        pushed[:, j] = 1.0
-        inertia[k] = np.abs(model.effort(Motion(q, still, pushed)) - held)[:, j].max()
+    random, index = np.random.default_rng(0), np.flatnonzero(np.isin(model.joints, limits.joints))
+    shares = random.uniform(-1.0, 1.0, (_POSTURES, len(index)))
+    q, zeros = np.zeros((2, _POSTURES, len(model.joints)))
+    q[:, index] = limits.middle + limits.reach * shares
+    static, inertia = model.effort(Motion(q, zeros, zeros)), np.empty(len(index))
+    for k, j in enumerate(index):
+        unit = zeros.copy()
+        unit[:, j] = 1.0
+        inertia[k] = np.abs(model.effort(Motion(q, zeros, unit)) - static)[:, j].max()
     with np.errstate(divide="ignore"):
         return np.asarray(np.minimum(limits.effort / inertia, limits.velocity / FULL_SPEED))
 
 
 def signal_limits(model: RobotModel, signal: Mapping[str, float]) -> Array:
-    """Return the efforts of limited currents, voltages or duty cycles, N·m or N.
+    """Return the effort limits from limits of currents, voltages or duty cycles, N·m or N.
 
-    Their largest values are by joint, A, V or 1; efforts of other joints are infinite.
+    Signal limits are by joint, A, V or 1; efforts of other joints are infinite.
     """
     joints = motors_of(model)
     efforts = np.full(len(joints), np.inf)
     for joint, limit in instance(signal, "signal", Mapping).items():
-        at, known = _index(joints, joint), signal_of(model.effort_signals, joint)
-        if known is None or known.kind not in SIGNAL_KINDS:
+        k, fitted = _index(joints, joint), signal_of(model.effort_signals, joint)
+        if fitted is None or fitted.kind not in SIGNAL_KINDS:
             raise ArgumentError(
-                f"The model knows no current, voltage or duty cycle of {joint!r}.",
+                f"The model has no current, voltage or duty cycle of {joint!r}.",
                 advice="Limit its effort, or use a model that was fitted to such logs.",
                 joint=joint,
             )
-        efforts[at] = abs(known.gain) * number(limit, f"signal of {joint}", lower=0.0)
+        efforts[k] = abs(fitted.gain) * number(limit, f"signal of {joint}", lower=0.0)
     return efforts
 
 
@@ -214,7 +214,7 @@ def _overridden(joints: Sequence[str], values: Array, given: ByJoint, what: str)
     limits = real_array(given, what, finite=False)
     if limits.shape not in ((), (1,), values.shape):
         raise ArgumentError(
-            f"The limits of {what} have shape {limits.shape}, but there are {len(values)} joints."
+            f"The {what} limits have shape {limits.shape}, but there are {len(values)} joints."
         )
     return np.broadcast_to(limits, values.shape).copy()
 

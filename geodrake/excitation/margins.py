@@ -1,4 +1,4 @@
-"""How much of its limits a motion uses, looked at far more closely than in the design."""
+"""Use of the limits by a motion, checked at many more instants than in the design."""
 
 from __future__ import annotations
 
@@ -18,46 +18,44 @@ from geodrake.logs.motion import Motion
 FINE = 0.005
 """Share of the family's shortest time between instants at which a motion is checked."""
 COARSE = 10
-"""Every how many of them collisions are looked for during a search."""
+"""Stride between these instants for collision checks during a search."""
 
 _TOLERANCE = 1e-6  # share of a limit by which it may be exceeded
-_AT_ONCE = 20  # postures that are looked at between two looks at the clock
-_STRIDES = (32, 8, 2, 1)  # of instants at which collisions are looked for, the coarsest first
+_BATCH = 20  # postures to check between two looks at the clock
+_STRIDES = (32, 8, 2, 1)  # of instants in collision checks, the coarsest first
 _SHARES = ("position", "velocity", "acceleration", "jerk", "effort")
 
 
 @dataclass(frozen=True, eq=False)
 class LimitUse:
-    """Largest shares of the limits that a motion uses, each (nv,); more than one is too much."""
+    """Largest shares of the limits that a motion uses, each (nv,); above one they are violated."""
 
-    position: Array  # of the range's half, from its middle
+    position: Array  # relative to half the range, from its middle
     velocity: Array
     acceleration: Array
     effort: Array
     jerk: Array
-    # "itself" or an obstacle's name -> least distance, m, and between what it is, of all that ever
-    # came near.
+    # "itself" or a close obstacle's name -> least distance, m, and the names of the pair.
     clearances: Mapping[str, tuple[float, str]] = field(default_factory=dict)
-    # The distance to be kept, m; infinite distances without collision geometry.
+    # The distance to keep, m.
     clearance: float = 0.0
     # "velocity", "acceleration", "jerk" or "effort" -> (nv,) largest sizes, SI units.
     peaks: Mapping[str, Array] = field(default_factory=dict)
-    # Of a robot on its feet: shares of their polygon that the zero-moment point goes to, of the
-    # friction there is, and of the range in which its base was looked at. Zero otherwise.
+    # For a robot on its feet, used shares of the polygon by the zero-moment point, of the friction,
+    # and of the range of the free joints. Zero otherwise.
     polygon: float = 0.0
     friction: float = 0.0
     reach: float = 0.0
-    # Share of the polygon that is allowed.
-    margin: float = 1.0
+    margin: float = 1.0  # allowed share of the polygon
 
     @property
     def distance(self) -> float:
-        """Smallest distance of bodies, m; infinite if nothing came near."""
+        """Smallest distance of bodies, m; infinite if none came close."""
         return min((distance for distance, _ in self.clearances.values()), default=np.inf)
 
     @property
     def nearest(self) -> str:
-        """Bodies with the smallest distance; "" if nothing came near."""
+        """Bodies with the smallest distance; "" if none came close."""
         return min(self.clearances.values(), default=(np.inf, ""))[1]
 
     @property
@@ -72,9 +70,9 @@ class LimitUse:
 def limit_use(
     problem: DesignProblem, trajectory: ExcitationTrajectory, executed: ExcitationTrajectory
 ) -> LimitUse:
-    """Return a motion's use of its limits, with all distances on the way as it is executed.
+    """Return a motion's use of its limits, with the distances of the executed motion.
 
-    Its ramps take half of the other limits.
+    Ramps affect only the distances, as they use at most half of the other limits.
     """
     use, world = joint_use(problem, trajectory)[0], problem.collisions
     if world is None:
@@ -86,9 +84,9 @@ def limit_use(
 def keeps_limits(
     problem: DesignProblem, variables: Array, *, stride: int = 1, budget: Budget = UNLIMITED
 ) -> bool:
-    """Return whether a motion keeps all limits, as `limit_use` sees it; ends where one is not kept.
+    """Return whether a motion keeps all limits as in `limit_use`, stopping at the first violation.
 
-    Collisions are looked for at one of so many instants, the stride.
+    Collisions are checked only at every `stride`-th instant.
     """
     use, motion = joint_use(problem, problem.trajectory(variables))
     if problem.collisions is None or not use.is_within:
@@ -97,19 +95,19 @@ def keeps_limits(
 
 
 def stays_clear(world: CollisionWorld, q: Array, budget: Budget = UNLIMITED) -> bool:
-    """Return whether postures (n, nq) keep the clearance; ends where it is not kept."""
+    """Return whether postures (n, nq) keep the clearance, stopping at the first violation."""
     first = np.argmax([np.arange(len(q)) % stride == 0 for stride in _STRIDES], axis=0)
     order = np.argsort(first, kind="stable")
-    for at in range(0, len(q), _AT_ONCE):
+    for start in range(0, len(q), _BATCH):
         budget.check()
-        postures = q[order[at : at + _AT_ONCE]]
+        postures = q[order[start : start + _BATCH]]
         if world.distances(postures)[0].min() < world.clearance - _TOLERANCE:
             return False
     return True
 
 
 def joint_use(problem: DesignProblem, trajectory: ExcitationTrajectory) -> tuple[LimitUse, Motion]:
-    """Return the use of all limits but those of distances, and the motion that was looked at."""
+    """Return the use of all limits except distances, and the motion at the checked instants."""
     limits, stance, family = problem.motor_limits, trajectory.stance, trajectory.family
     timed, times = family.timed, family.limit_times(FINE)
     free = family.basis(times, orders=3 + timed) @ trajectory.coefficients
@@ -123,8 +121,8 @@ def joint_use(problem: DesignProblem, trajectory: ExcitationTrajectory) -> tuple
         effort = stance.efforts(motion, problem.sign_width)
         polygon, friction = stance.support(motion)
         reach = (free[0] - problem.limits.middle) / problem.limits.reach
-        of_balance = {"polygon": polygon[:, None], "friction": friction[:, None], "reach": reach}
-        balance = {name: float(_peak(x, timed).max()) for name, x in of_balance.items()}
+        uses = {"polygon": polygon[:, None], "friction": friction[:, None], "reach": reach}
+        balance = {name: float(_peak(x, timed).max()) for name, x in uses.items()}
         balance["margin"] = stance.margin
     signals = {"velocity": v, "acceleration": vd, "effort": effort, "jerk": jerk}
     peaks = {name: _peak(signal, timed) for name, signal in signals.items()}
@@ -134,7 +132,7 @@ def joint_use(problem: DesignProblem, trajectory: ExcitationTrajectory) -> tuple
 
 
 def _peak(signals: Array, timed: bool) -> Array:
-    """Return (nv,) largest size of signals (n, nv), between instants too, by their curvature."""
+    """Return the largest sizes (nv,) of signals (n, nv), bounded between instants by curvature."""
     sizes = np.abs(signals)
     if timed and len(signals) > 2 and np.isfinite(sizes).all():
         sizes[1:-1] += np.abs(np.diff(signals, 2, axis=0)) / 8.0

@@ -1,4 +1,4 @@
-"""How much a motion identifies, as one number, [Lee2019] §4.2.1 and §4.3.3.
+"""Scalar measures of the information in a motion, [Lee2019] §4.2.1 and §4.3.3.
 
 With the regressor A of all p parameters, whitened by the noise, the normalized information is
 
@@ -6,11 +6,11 @@ With the regressor A of all p parameters, whitened by the noise, the normalized 
 
 for base parameters φ_B = B φ whose errors are measured by the metric H: the identity (`none`),
 [diag φ_B⁰]⁻² (`diagonal`, Eq. (4.2.26)) or the pushforward H₀ of the metric on physical bodies
-(`geometric`, Eq. (4.3.38)). The columns of K are parameter changes of length one. Only the last is
-indifferent to frames, units and B. Its K = G₀^(−½) Q, with orthonormal columns Q that span the rows
-of B G₀^(−½), needs no inverse, so it is so to rounding.
+(`geometric`, Eq. (4.3.38)). The columns of K are parameter changes of unit length. Only the
+geometric normalization is invariant to frames, units and B, up to rounding: its K = G₀^(−½) Q, with
+orthonormal columns Q that span the rows of B G₀^(−½), needs no inverse.
 
-Criteria are symmetric functions of the eigenvalues λ of that matrix; less is better.
+Criteria are symmetric functions of the eigenvalues λ of that matrix; smaller is better.
 
 | name | value |
 |---|---|
@@ -19,10 +19,9 @@ Criteria are symmetric functions of the eigenvalues λ of that matrix; less is b
 | `e_optimality` | 1/λ_min, the variance along the worst direction |
 | `condition_number` | √(λ_max/λ_min) |
 
-A solver gets the logarithm of the value (for D-optimality, its mean), which no scale disturbs.
-λ_min is not smooth where eigenvalues meet, and optimal motions make them meet. What is minimized in
-its place is the mean log (Σ λᵢ⁻ˢ)/s, a function of power sums, smooth everywhere, and never further
-above log(1/λ_min) than log(n)/s.
+Solvers minimize the logarithm of the value (for D-optimality, the mean), which is independent of
+scale. λ_min is not smooth at multiple eigenvalues, which optimal motions tend to have. It is
+replaced by log(Σ λᵢ⁻ˢ)/s, a smooth function that exceeds log(1/λ_min) by at most log(n)/s.
 """
 
 from __future__ import annotations
@@ -44,9 +43,9 @@ from geodrake.logs.motion import Motion
 
 CRITERIA = ("a_optimality", "d_optimality", "e_optimality", "condition_number")
 NORMALIZATIONS = ("none", "diagonal", "geometric")
-_EQUAL = 1e-9  # relative difference below which eigenvalues are one that is multiple
-_STATES = 300  # random ones, by which it counts as identifiable at all
-_LEAST_SHARE = 1e-3  # of a parameter's geometric unit that its nominal value counts for
+_EQUAL = 1e-9  # relative difference below which eigenvalues count as multiple
+_STATES = 300  # number of samples for which a direction must be identifiable
+_LEAST_SHARE = 1e-3  # least size of a parameter, relative to its geometric unit
 
 
 @dataclass(frozen=True)
@@ -54,9 +53,9 @@ class Criterion:
     """A function of the eigenvalues of an information matrix.
 
     Attributes:
-        sharpness: s of the smooth forms of λ_min and λ_max; infinite for those themselves, whose
-            gradient at a multiple eigenvalue is one of many.
-        kept: Look at the r greatest eigenvalues only, [Lee2019] §4.5.2 step b.2; all if None.
+        sharpness: s of the smooth forms of λ_min and λ_max; infinite for the exact values, which
+            have only a subgradient at multiple eigenvalues.
+        kept: Number r of the largest eigenvalues to use, [Lee2019] §4.5.2 step b.2; all if None.
     """
 
     name: str = "e_optimality"
@@ -71,7 +70,7 @@ class Criterion:
             integer(self.kept, "kept", lower=1)
 
     def value(self, eigenvalues: ArrayLike) -> float:
-        """Return the criterion itself, as in the table; infinite for a singular matrix."""
+        """Return the criterion as in the table above; infinite for a singular matrix."""
         kept = self._largest(real_array(eigenvalues, "eigenvalues", ("n",)))
         if not kept.min() > 0:
             return np.inf
@@ -102,7 +101,7 @@ class Criterion:
         return value, gradient
 
     def _largest(self, eigenvalues: Array) -> Array:
-        """Return the r greatest eigenvalues."""
+        """Return the r largest eigenvalues."""
         count = len(eigenvalues) if self.kept is None else self.kept
         if count > len(eigenvalues) or not len(eigenvalues):
             raise ArgumentError(
@@ -127,8 +126,8 @@ def normalizing_map(
 ) -> Array:
     """Return the matrix K (p, n_B) of a normalization.
 
-    A base parameter of (nearly) zero nominal value, for which the diagonal normalization is not
-    defined, counts with a thousandth of its geometric unit √(H₀⁻¹)ᵢᵢ.
+    The diagonal normalization is undefined for base parameters of zero nominal value. Their size is
+    at least a thousandth of the geometric unit √(H₀⁻¹)ᵢᵢ.
 
     Args:
         base: (n_B, p) B.
@@ -152,7 +151,7 @@ def normalizing_map(
 
 
 def _row_space(B: Array) -> tuple[Array, Array]:
-    """Return Q (p, n) and triangular R with B = Rᵀ Qᵀ; rows are scaled first: they have units."""
+    """Return Q (p, n) and triangular R with B = Rᵀ Qᵀ, after scaling out the units of rows."""
     sizes = np.linalg.norm(B, axis=1)
     if not (sizes > 0).all():
         raise ArgumentError("A row of B is zero.", advice="Take B from `base_parameters`.")
@@ -170,8 +169,8 @@ class Objective(Short):
     """A normalized criterion of a target, as a function of the motion.
 
     Attributes:
-        base: (n_B, p) base parameters B, for the normalizations that depend on the choice; those
-            of the target if None.
+        base: (n_B, p) base parameters B, for normalizations that depend on this choice; those of
+            the target if None.
     """
 
     target: Target
@@ -188,26 +187,26 @@ class Objective(Short):
 
     @cached_property
     def normalizing_map(self) -> Array:
-        """(p, n_B) K: parameter changes of length one.
+        """(p, n_B) K: parameter changes of unit length.
 
-        Of a target with trial states, only those that hundreds of such states tell to within their
-        size, if that is geometric.
+        For a target with trial states, the geometric K excludes directions that hundreds of such
+        states do not identify within their size.
         """
         target, base = self.target, self.base
-        own = target.base.matrix if base is None else base
-        K = normalizing_map(self.normalization, own, target.prior, target.metric_root)
+        B = target.base.matrix if base is None else base
+        K = normalizing_map(self.normalization, B, target.prior, target.metric_root)
         if target.trial is None or base is not None or self.normalization != "geometric":
             return K
         X = target.measure(target.trial).regressor / target.noise[:, None]
         singular, V = _spectrum(X.reshape(-1, len(K)) @ K)
-        told = singular**2 * (_STATES / len(target.trial)) >= 1.0
-        if not told.any():
+        identifiable = singular**2 * (_STATES / len(target.trial)) >= 1.0
+        if not identifiable.any():
             raise ArgumentError(
-                "No motion within the limits tells any parameter to within its size, as the noise "
-                f"is {target.noise.tolist()}.",
+                "No motion within the limits identifies any parameter within its size, as the "
+                f"noise is {target.noise.tolist()}.",
                 advice="Check the noise, or widen the limits.",
             )
-        return np.asarray(K @ V[:, told])
+        return np.asarray(K @ V[:, identifiable])
 
     def factor(self, measurement: Measurement) -> Array:
         """Return the whitened and normalized regressor A K (N m, n_B) of a motion."""
@@ -223,7 +222,7 @@ class Objective(Short):
     def eigenvalues(self, motion: Motion) -> Array:
         """Return the eigenvalues (n_B,) of the normalized information matrix, ascending.
 
-        Their inverses are variances: of parameter errors in units of the normalization.
+        Their inverses are variances of parameter errors, in units of the normalization.
         """
         return np.asarray(_spectrum(self.factor(self.target.measure(motion)))[0] ** 2)
 
@@ -232,13 +231,13 @@ class Objective(Short):
         return self.criterion.value(self.eigenvalues(motion))
 
     def value_and_gradient(self, motion: Motion) -> tuple[float, MotionGradient]:
-        """Return the solver's objective (`Criterion.objective`), and its gradient by the motion.
+        """Return `Criterion.objective` of a motion, and its gradient with respect to the motion.
 
-        [Lee2019] Eqs. (4.4.48) to (4.4.52), by way of the regressor's entries.
+        [Lee2019] Eqs. (4.4.48) to (4.4.52), by the chain rule over the regressor's entries.
 
         Raises:
-            ArgumentError: There are fewer measurements than base parameters, or the motion leaves
-                some wholly unknown.
+            ArgumentError: There are fewer measurements than base parameters, or the motion does
+                not excite all of them.
         """
         measurement = self.target.measure(motion)
         A, K = self.factor(measurement), self.normalizing_map
@@ -257,9 +256,9 @@ class Objective(Short):
 
 
 def _spectrum(A: Array) -> tuple[Array, Array]:
-    """Return singular values (n,) ascending and right singular vectors (n, n) of a tall matrix.
+    """Return singular values (n,), ascending, and right singular vectors (n, n) of a tall matrix.
 
-    By a QR factorization, not from AᵀA, whose small eigenvalues have lost half their digits.
+    A QR factorization avoids AᵀA, which loses half the digits of small eigenvalues.
     """
     _, singular, Vt = np.linalg.svd(np.linalg.qr(A, mode="r"))
     return singular[::-1], Vt[::-1].T

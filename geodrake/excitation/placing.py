@@ -1,4 +1,4 @@
-"""Put a robot on the ground: feet, the polygon between them, and the loops that they close."""
+"""Place a robot on the ground: feet, their polygon, and the loops that they close."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ from geodrake.robot.stated import WORLD, Closure
 from geodrake.robot.transmission.loop import LoopTransmission, solve_loop
 from geodrake.robot.transmission.schema import Drive
 
-_LEVELLING = 3  # times, as lowest points of balls depend on the ground's slope
-_LEVEL = 0.005  # m, by which points of feet may be off the plane through them
-_NARROW = 0.005  # m, of a polygon on which nothing stands
-_SIDES = 12  # of a polygon at most
-_SWAY = np.array([0.3, 0.3, 0.3, 0.5, 0.5, 0.5])  # of a base: shares of its height, and rad
-_Z = 2  # of its joints
-_SMALLER, _TRIALS, _RANDOM, _CORNERS = 0.8, 20, 200, 6
-_SLACK = 1e-6  # rad or m, by which a posture may be beyond the limits
-_LOWEST = 0.005  # m over the lowest point of a foot, where it still touches
-_FLAT, _TILTED = np.radians(3.0), np.radians(45.0)  # of a face, and of a sole at most
-_SAME = 0.002  # m, by which points of a sole are apart
+_LEVELLING = 3  # iterations, as lowest points of balls depend on the ground's slope
+_LEVEL = 0.005  # m, tolerance of the points of feet to the plane through them
+_NARROW = 0.005  # m, width below which a polygon supports nothing
+_SIDES = 12  # maximum number of a polygon's sides
+_SWAY = np.array([0.3, 0.3, 0.3, 0.5, 0.5, 0.5])  # range of a base: shares of its height, and rad
+_Z = 2  # index of the base's vertical joint
+_SHRINK, _TRIALS, _RANDOM, _CORNERS = 0.8, 20, 200, 6
+_SLACK = 1e-6  # rad or m, tolerance of a posture to the limits
+_LOWEST = 0.005  # m over the lowest point of a foot, within which points touch the ground
+_FLAT, _TILTED = np.radians(3.0), np.radians(45.0)  # tolerance of a face, largest tilt of a sole
+_SAME = 0.002  # m, least extent of a sole
 _AROUND = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
-_ADVICE = "Say where it does: a Foot with points, or LINK=LENGTHxWIDTH or LINK=point in --feet."
+_ADVICE = "Define its contact: a Foot with points, or LINK=LENGTHxWIDTH or LINK=point in --feet."
 
 
 def make_stance(
@@ -54,20 +54,20 @@ def make_stance(
     margin: float = 0.9,
     limits: MotionLimits | None = None,
 ) -> Stance:
-    """Return a robot on feet that do not move, on level ground.
+    """Return a robot standing on feet at rest on level ground.
 
     Args:
         robot: The robot with a floating base (`load_model(..., floating=True)`).
-        feet: Names of links, of which the collision geometry that is lowest touches the ground, or
-            `Foot`s. Frames of the model file are links here, too.
+        feet: `Foot`s, or names of links or other frames of the model file whose lowest collision
+            geometry touches the ground.
         posture: (m,) positions of the motors in which the feet are placed, rad or m; those of the
-            model file if None. The robot is turned so that all feet are level then.
+            model file if None. The robot is rotated until all feet are level.
         margin: Share of the polygon of the feet, from its middle, in which the zero-moment point
             stays.
         limits: Limits of the motors; `motion_limits(robot, bounded=True)` if None.
 
     Raises:
-        ArgumentError: The robot has no free base, or cannot stand so.
+        ArgumentError: The robot has no free base, or cannot stand in this posture.
     """
     instance(robot, "robot", RobotModel)
     feet = instances(feet, "feet", (str, Foot))
@@ -75,28 +75,30 @@ def make_stance(
     number(margin, "margin", lower=0.0, upper=1.0, strict=True)
     if len(robot.base_joints) != 6:
         raise ArgumentError(
-            f"A robot stands on its feet with one floating base; {robot.path.name} has "
+            f"A standing robot needs one floating base; {robot.path.name} has "
             f"{len(robot.base_joints) // 6}.",
             advice="Load it with --floating (floating=True).",
         )
     gravity = robot.tree.gravity
     if not -gravity[2] > 0.999 * np.linalg.norm(gravity) > 0.0:
-        raise ArgumentError(f"Gravity is {gravity.tolist()}, but a robot stands with it along −z.")
+        raise ArgumentError(
+            f"Gravity is {gravity.tolist()}, but a standing robot needs it along −z."
+        )
     if not feet:
         raise ArgumentError("A robot stands on at least one foot; none was given.")
     motors = motors_of(robot)
-    own = motion_limits(robot, bounded=True) if limits is None else limits
-    at = {name: robot.default_position(name) for name in robot.joints}
+    limits = motion_limits(robot, bounded=True) if limits is None else limits
+    positions = {name: robot.default_position(name) for name in robot.joints}
     if posture is not None:
         values = real_array(posture, "posture", (len(motors),))
-        at |= dict(zip(motors, values.tolist(), strict=True))
-    q = robot.positions(np.array([[at[name] for name in robot.joints]]))
+        positions |= dict(zip(motors, values.tolist(), strict=True))
+    q = robot.positions(np.array([[positions[name] for name in robot.joints]]))
     for k, name in enumerate(motors):
-        if not own.lower[k] - _SLACK <= at[name] <= own.upper[k] + _SLACK:
+        if not limits.lower[k] - _SLACK <= positions[name] <= limits.upper[k] + _SLACK:
             raise ArgumentError(
-                f"Where the robot stands, joint {name!r} is at {at[name]:.4g}, but its range is "
-                f"{own.lower[k]:.4g} to {own.upper[k]:.4g}.",
-                advice="Say where it stands: --stand JOINT=NUMBER,… (posture).",
+                f"Where the robot stands, joint {name!r} is at {positions[name]:.4g}, but its "
+                f"range is {limits.lower[k]:.4g} to {limits.upper[k]:.4g}.",
+                advice="Set its posture: --stand JOINT=NUMBER,… (posture).",
                 joint=name,
             )
     plant_q = robot.plant_positions(q)[0]
@@ -113,76 +115,75 @@ def make_stance(
         poses = X_GP, frame.GetFixedPoseInBodyFrame() @ X_FP
         closures.append(Closure(foot.frame, bodies, poses, foot.is_sole, radius=foot.radius))
     X_GB = X_GW @ robot.plant.EvalBodyPoseInWorld(context, root_of(robot))
-    turned = RollPitchYaw(X_GB.rotation()).vector()[::-1]
-    based = dict(zip(robot.base_joints, [*X_GB.translation(), *turned], strict=True))
+    yaw_pitch_roll = RollPitchYaw(X_GB.rotation()).vector()[::-1]
+    base = dict(zip(robot.base_joints, [*X_GB.translation(), *yaw_pitch_roll], strict=True))
     how = LoopJoints(
         robot.followers,
         driven=motors,
         first=() if len(feet) == 1 else robot.base_joints,
-        start=dict(zip(joint_names(robot.plant), plant_q.tolist(), strict=True)) | based,
+        start=dict(zip(joint_names(robot.plant), plant_q.tolist(), strict=True)) | base,
         drives=robot.transmission,
-        placed=at,
+        placed=positions,
     )
     model = _on_loops(robot, closures, how)
-    at |= based
-    free, placed = (np.array([at[n] for n in names]) for names in (model.joints, motors))
-    return Stance(robot, model, feet, free, placed, polygon, friction, margin, own)
+    positions |= base
+    free, placed = (np.array([positions[n] for n in names]) for names in (model.joints, motors))
+    return Stance(robot, model, feet, free, placed, polygon, friction, margin, limits)
 
 
 def _on_loops(robot: RobotModel, closures: Sequence[Closure], how: LoopJoints) -> RobotModel:
-    """Return the robot whose feet are closed loops with the ground."""
+    """Return the robot whose feet form closed loops with the ground."""
     try:
         loops = closed_loops(robot.plant, closures, path=robot.path, how=how)
     except ModelError as error:
         raise ArgumentError(
             f"The robot cannot move on its feet in this posture: {error.problem}",
-            advice="Let it stand with bent knees: --stand.",
+            advice="Bend its knees: --stand.",
         ) from error
     (loop,) = loops.loops
     if set(loop.actuators) & set(robot.base_joints):
         limits = loop.limits.copy()
         limits[:, loop.free] = _reachable(loop, robot)
         loop = replace(loop, limits=limits)
-    alone = (drive for drive in robot.transmission if not {*drive.joints} & {*loop.joints})
+    drives = (drive for drive in robot.transmission if not {*drive.joints} & {*loop.joints})
     model = replace(
         robot,
-        transmission=(*alone, Drive.of_loop(loop)),
-        followers={own: tie for own, tie in robot.followers.items() if own not in loops.taken},
+        transmission=(*drives, Drive.of_loop(loop)),
+        followers={k: tie for k, tie in robot.followers.items() if k not in loops.taken},
         information=None,
         effort_noise=None,
         fading_speed=None,
     )
-    at = [robot.joints.index(name) for name in model.joints]
+    indices = [robot.joints.index(name) for name in model.joints]
     noise, fading = robot.effort_noise, robot.fading_speed
     return replace(
         model,
-        effort_noise=None if noise is None else noise[at],
-        fading_speed=None if fading is None else fading[at],
+        effort_noise=None if noise is None else noise[indices],
+        fading_speed=None if fading is None else fading[indices],
     )
 
 
 def _reachable(loop: LoopTransmission, robot: RobotModel) -> tuple[Array, Array]:
-    """Return a range of the free joints (n,) about the posture in which the feet can stay."""
-    names, there = loop.actuators, loop.reference[loop.free]
+    """Return a range of the free joints (n,) around the posture in which the feet can stay."""
+    names, center = loop.actuators, loop.reference[loop.free]
     low, high = loop.limits[:, loop.free]
     base = [k for k, name in enumerate(names) if name in robot.base_joints]
     sway = _SWAY[[robot.base_joints.index(names[k]) for k in base]].copy()
     slides = np.array([names[k] in robot.sliding_joints for k in base])
     height = loop.reference[loop.joints.index(robot.base_joints[_Z])]
     sway[slides] *= abs(height)
-    low[base], high[base] = there[base] - sway, there[base] + sway
-    low = np.where(np.isfinite(low), low, there - _SWAY[-1])
-    high = np.where(np.isfinite(high), high, there + _SWAY[-1])
-    random = np.random.default_rng(0).uniform(size=(_RANDOM, len(names)))
-    few = len(names) <= _CORNERS
-    corners = np.array(list(product((0.0, 1.0), repeat=len(names)))) if few else random
-    shares = np.vstack([corners, random])
+    low[base], high[base] = center[base] - sway, center[base] + sway
+    low = np.where(np.isfinite(low), low, center - _SWAY[-1])
+    high = np.where(np.isfinite(high), high, center + _SWAY[-1])
+    shares = np.random.default_rng(0).uniform(size=(_RANDOM, len(names)))
+    if len(names) <= _CORNERS:
+        shares = np.vstack([list(product((0.0, 1.0), repeat=len(names))), shares])
     for _ in range(_TRIALS):
         if (solve_loop(loop.records, low + shares * (high - low))[2] == 1.0).all():
             return low, high
-        low, high = there + _SMALLER * (low - there), there + _SMALLER * (high - there)
+        low, high = center + _SHRINK * (low - center), center + _SHRINK * (high - center)
     raise ArgumentError(
-        "The robot can hardly move on its feet: its legs are nearly stretched, or folded.",
+        "The robot can hardly move on its feet: its legs are nearly stretched or folded.",
         advice="Let it stand with bent knees: --stand.",
     )
 
@@ -190,11 +191,12 @@ def _reachable(loop: LoopTransmission, robot: RobotModel) -> tuple[Array, Array]
 def _ground(
     robot: RobotModel, feet: Sequence[Foot], context: Context
 ) -> tuple[RigidTransform, Array]:
-    """Return the pose of the world from the ground through all feet, and their polygon (k, 2).
+    """Return the pose X_GW of the world in the ground frame, and the feet's polygon (k, 2), m.
 
-    The ground has z upwards and its origin amid the feet. Corners are counterclockwise, m.
+    The ground passes through all feet, with z upwards and its origin amid them. Corners are
+    counterclockwise.
     """
-    normal, above = np.array([0.0, 0.0, 1.0]), robot.plant.CalcCenterOfMassPositionInWorld(context)
+    normal, com = np.array([0.0, 0.0, 1.0]), robot.plant.CalcCenterOfMassPositionInWorld(context)
     poses = [_frame_of(robot.plant, foot.frame).CalcPoseInWorld(context) for foot in feet]
     centers = [X.multiply(np.asarray(f.points).T).T for X, f in zip(poses, feet, strict=True)]
     for _ in range(_LEVELLING):
@@ -203,15 +205,15 @@ def _ground(
         center = points.mean(axis=0)
         if len(points) > 2:
             normal = np.linalg.svd(points - center)[2][2]
-            normal = normal if normal @ (above - center) > 0.0 else -normal
+            normal = normal if normal @ (com - center) > 0.0 else -normal
     if np.abs((points - center) @ normal).max() > _LEVEL:
         heights = [1e3 * (p - center) @ normal for p in touching]
         words = ", ".join(
-            f"{foot.frame} {own.min():.0f} to {own.max():.0f} mm"
-            for foot, own in zip(feet, heights, strict=True)
+            f"{foot.frame} {height.min():.0f} to {height.max():.0f} mm"
+            for foot, height in zip(feet, heights, strict=True)
         )
         raise ArgumentError(
-            f"The feet are not on one plane in this posture: over one through all are {words}.",
+            f"The feet are not on one plane in this posture; heights over the best one: {words}.",
             advice=f"Choose a posture in which they stand flat (--stand). {_ADVICE}",
         )
     x = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
@@ -226,20 +228,20 @@ def _ground(
             hull = ConvexHull(flat)
     if hull is None:
         raise ArgumentError(
-            f"{', '.join(foot.frame for foot in feet)} touch the ground at a point or along a "
-            "line, on which nothing stands.",
+            f"{', '.join(foot.frame for foot in feet)} touch the ground at a point or along "
+            "a line, on which a robot cannot stand.",
             advice="Name more feet, or give a Foot with the corners of its sole.",
         )
     corners = flat[hull.vertices]
-    if len(corners) > _SIDES:  # a polygon inside
+    if len(corners) > _SIDES:  # use an inscribed polygon
         angles = np.linspace(0.0, 2.0 * np.pi, _SIDES, endpoint=False)
-        ways = np.stack([np.cos(angles), np.sin(angles)], -1)
-        corners = corners[np.unique(np.argmax(corners @ ways.T, axis=0))]
+        directions = np.stack([np.cos(angles), np.sin(angles)], -1)
+        corners = corners[np.unique(np.argmax(corners @ directions.T, axis=0))]
     return X_GW, np.asarray(corners)
 
 
 def _frame_of(plant: MultibodyPlant, name: str) -> Frame:
-    """Return a link's frame, or another of the model file."""
+    """Return the frame of a link, or another frame of the model file."""
     if not plant.HasFrameNamed(name):
         links = [member.name for body in lumped_bodies(plant) for member in body.members]
         raise ArgumentError(
@@ -250,7 +252,7 @@ def _frame_of(plant: MultibodyPlant, name: str) -> Frame:
 
 
 def _feet_of(robot: RobotModel, feet: Sequence[str | Foot], context: Context) -> tuple[Foot, ...]:
-    """Return feet, those that are named from the collision geometry that is lowest."""
+    """Return feet, deriving named ones from their lowest collision geometry."""
     named = any(isinstance(foot, str) for foot in feet)
     solids = solids_of_file(robot.path, robot.given) if named else {}
     found = []
@@ -259,17 +261,17 @@ def _feet_of(robot: RobotModel, feet: Sequence[str | Foot], context: Context) ->
             found.append(foot)
             continue
         frame = _frame_of(robot.plant, foot)
-        own = solids.get(frame.body().scoped_name().get_full(), [])
+        shapes = solids.get(frame.body().scoped_name().get_full(), [])
         X_FB = frame.GetFixedPoseInBodyFrame().inverse()
-        found.append(_lowest(foot, own, X_FB, frame.CalcPoseInWorld(context)))
+        found.append(_lowest(foot, shapes, X_FB, frame.CalcPoseInWorld(context)))
     return tuple(found)
 
 
 def _lowest(name: str, solids: Sequence[Solid], X_FB: RigidTransform, X_WF: RigidTransform) -> Foot:
-    """Return what of the shapes of a link is lowest."""
+    """Return the lowest part of a link's shapes as a foot."""
     if not solids:
         raise ArgumentError(
-            f"Link {name!r} has no collision geometry that says where it touches the ground.",
+            f"Link {name!r} has no collision geometry to show where it touches the ground.",
             advice=_ADVICE,
         )
     parts = [_points(solid) for solid in solids]
@@ -280,8 +282,8 @@ def _lowest(name: str, solids: Sequence[Solid], X_FB: RigidTransform, X_WF: Rigi
     depths = points @ down + radii
     low = np.flatnonzero(depths > depths.max() - _LOWEST)
     touching, radius = points[low], radii[low]
-    apart = np.ptp(touching - np.outer(touching @ down, down), axis=0).max()
-    if apart < _SAME:
+    extent = np.ptp(touching - np.outer(touching @ down, down), axis=0).max()
+    if extent < _SAME:
         return Foot(name, touching[:1], float(radius[0]))
     touching = touching + radius[:, None] * down
     spread = np.linalg.svd(touching - touching.mean(axis=0), compute_uv=False)
@@ -294,10 +296,10 @@ def _lowest(name: str, solids: Sequence[Solid], X_FB: RigidTransform, X_WF: Rigi
 
 
 def _downwards(points: Array, down: Array) -> Array:
-    """Return the normal (3,) of the largest face of points that faces down, if there is one."""
+    """Return the normal (3,) of the hull's largest face that faces down, otherwise `down`."""
     try:
         hull = ConvexHull(points)
-    except (QhullError, ValueError):  # of few points, or flat ones
+    except (QhullError, ValueError):  # few or coplanar points
         return down
     normals = hull.equations[:, :3]
     first, second, third = np.moveaxis(points[hull.simplices], 1, 0)
@@ -307,7 +309,7 @@ def _downwards(points: Array, down: Array) -> Array:
 
 
 def _points(solid: Solid) -> tuple[Array, float]:
-    """Return points (k, 3) whose balls of a radius have the shape's lowest points, m."""
+    """Return points (k, 3) and a radius such that balls around them have the shape's extent, m."""
     points, radius, shape = np.zeros((1, 3)), 0.0, solid.shape
     match shape:
         case Sphere():

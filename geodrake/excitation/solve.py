@@ -1,4 +1,4 @@
-"""Run SNOPT or IPOPT on a design problem until its value stands still or time is up."""
+"""Solve a design problem with SNOPT or IPOPT until its value settles or time is up."""
 
 from __future__ import annotations
 
@@ -25,40 +25,40 @@ from geodrake.robot.files.description import drake_messages
 
 SOLVERS: dict[str, type[SolverInterface]] = {"snopt": SnoptSolver, "ipopt": IpoptSolver}
 INTERRUPTED, OUT_OF_TIME, SETTLED = "interrupted", "out of time", "settled"
-"""How a start ends that was stopped, whose time is up, or whose value stands still."""
+"""Status of a start that was stopped, ran out of time, or whose value settled."""
 _SETTINGS = {
     "snopt": {"Major optimality tolerance": 1e-4, "Major feasibility tolerance": 1e-6},
     "ipopt": {"tol": 1e-4, "constr_viol_tol": 1e-6, "print_level": 0},
 }
 _MOST = {"snopt": ("Major iterations limit", "Time limit"), "ipopt": ("max_iter", "max_cpu_time")}
-_STILL, _STILL_FOR = 5e-2, 12  # a value (a logarithm) changes by less in so many evaluations
+_SETTLED_CHANGE, _SETTLED_COUNT = 5e-2, 12  # change of the logarithmic value, evaluations
 
 Seen = list[tuple[float, Array]]
-"""Values and variables (f nv,) of the motions that a solver looked at."""
+"""Values and variables (f nv,) of the motions that a solver visited."""
 
 
 class SearchEndError(Exception):
-    """The search ends here; what is found by then is what counts. It never leaves a design."""
+    """End of a search, whose result so far is used. It never leaves a design."""
 
 
 @dataclass(frozen=True)
 class Budget:
-    """Time on the clock of the wall, up at an instant `end` of `time.monotonic`, s."""
+    """Wall-clock time until the instant `end` of `time.monotonic`, s."""
 
     end: float
 
     @classmethod
     def of(cls, seconds: float) -> Budget:
-        """Return so many seconds from now on."""
+        """Return a budget of some seconds from now."""
         return cls(time.monotonic() + seconds)
 
     @property
     def left(self) -> float:
-        """Time that is left, s; negative once it is up."""
+        """Remaining time, s; negative once it is up."""
         return self.end - time.monotonic()
 
     def part(self, share: float) -> Budget:
-        """Return a share of what is left, from now on."""
+        """Return a share of the remaining time, from now."""
         return Budget.of(share * self.left)
 
     def check(self) -> None:
@@ -72,11 +72,11 @@ UNLIMITED = Budget(float("inf"))
 
 def check_solver(solver: str) -> None:
     """Raise if a solver is unknown or unavailable."""
-    usable = [name for name, kind in SOLVERS.items() if kind().available() and kind().enabled()]
-    if solver not in usable:
+    available = [name for name, kind in SOLVERS.items() if kind().available() and kind().enabled()]
+    if solver not in available:
         raise ArgumentError(
             f"Nonlinear solver {solver!r} is unknown or not installed; "
-            f"available: {', '.join(usable)}."
+            f"available: {', '.join(available)}."
         )
 
 
@@ -91,9 +91,9 @@ def solve(
         watch: Called with every cost.
 
     Returns:
-        The last variables (f nv,), whether or not limits are kept; how it ended; all that was seen.
+        The last variables (f nv,), which may violate limits; the status; all visited motions.
     """
-    raised: list[BaseException] = []  # solvers tell only the text of errors
+    raised: list[BaseException] = []  # solvers report only the text of errors
     seen: Seen = []
     options = problem.options
 
@@ -101,18 +101,19 @@ def solve(
         value, gradient = problem.cost(y)
         seen.append((value, y.copy()))
         watch(value)
-        last = [value for value, _ in seen[-_STILL_FOR:]]
-        if options.quick and len(last) == _STILL_FOR and max(last) - min(last) < _STILL:
+        last = [value for value, _ in seen[-_SETTLED_COUNT:]]
+        is_settled = len(last) == _SETTLED_COUNT and max(last) - min(last) < _SETTLED_CHANGE
+        if options.quick and is_settled:
             raise SearchEndError(SETTLED)
         return value, gradient
 
     def differentiable(function: Callable[[Array], tuple[Any, Array]]) -> Callable[[Any], Any]:
-        """Return a function of numbers or of AutoDiffXd, from one of a value and its Jacobian."""
+        """Return a function of floats or AutoDiffXd from one that returns value and Jacobian."""
 
         def call(x: Any) -> Any:
             plain = x.dtype != object
             try:
-                budget.check()  # solvers look at the clock now and then only
+                budget.check()  # solvers check the time only now and then
                 value, jacobian = function(x if plain else ExtractValue(x).ravel())
             except BaseException as error:
                 raised.append(error)
@@ -134,12 +135,12 @@ def solve(
         bounds = np.full(count, least), np.full(count, most)
         program.AddConstraint(differentiable(function), *bounds, vars=flat)
     engine, settings = SOLVERS[options.solver](), SolverOptions()
-    own: dict[str, float | int] = dict(_SETTINGS[options.solver])
-    own |= zip(_MOST[options.solver], (options.iterations, max(budget.left, 1e-3)), strict=True)
-    for name, value in own.items():
+    values: dict[str, float | int] = dict(_SETTINGS[options.solver])
+    values |= zip(_MOST[options.solver], (options.iterations, max(budget.left, 1e-3)), strict=True)
+    for name, value in values.items():
         settings.SetOption(engine.solver_id(), name, value)
     try:
-        with drake_messages():  # of iteration limits, which are no news here
+        with drake_messages():  # suppress messages on iteration limits
             result = engine.Solve(program, guess.ravel(), settings)
     except (RuntimeError, StopSearch, SearchEndError) as error:
         cause = raised[0] if raised else error

@@ -34,40 +34,40 @@ Indices = NDArray[np.intp]
 WRENCH = ("nx", "ny", "nz", "fx", "fy", "fz")
 """Names of the components of a base wrench."""
 
-_SIGN_SHARE = 0.02  # of a joint's fastest speed, over which its friction changes sign
-_EFFECT_SHARE = 0.1  # of a joint's effort that an effect of unknown size is thought to have
+_SIGN_SHARE = 0.02  # of a joint's velocity limit, over which its friction changes sign
+_EFFECT_SHARE = 0.1  # of a joint's effort, assumed for an effect of unknown size
 _RANDOM_SAMPLES = 200
-_NOISE = 1e-12, 1e12  # N·m or N; beyond them squares of weighted columns leave what floats can do
-_NOT_AT_ALL, _HARDLY = 1e-9, 1e-6  # shares of the best excited direction
-_WEIGHTLESS = 1e-12  # share of gravity in efforts that is rounding alone
+_NOISE = 1e-12, 1e12  # N·m or N; beyond these, squares of weighted columns overflow or underflow
+_RANK_TOLERANCE, _TRIAL_TOLERANCE = 1e-9, 1e-6  # relative to the best excited direction
+_WEIGHTLESS = 1e-12  # share of gravity in efforts attributed to rounding
 
 SIZE_WORDS = "a tenth of the load, or 2 % of the effort limit if that is more"
-_LEAST_SHARE = 0.02  # of the limit of effort
-_NOISE_SHARE = 0.01  # of the limit of effort
+_LEAST_SHARE = 0.02  # of the effort limit
+_NOISE_SHARE = 0.01  # of the effort limit
 
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """A motion as a target's measurements see it."""
+    """The measurements of a motion."""
 
     motion: Motion  # (N, ·) motion
     regressor: Array  # (N, m, p) regressor X of the measurements, not weighted by the noise
-    seen: RobotMotion | None  # the motion as effects see it; None where no effect is unknown
+    seen: RobotMotion | None  # the motion for effects; None for base wrenches
 
 
 @dataclass(frozen=True, eq=False)
 class Target(Short):
-    """Unknown parameters of a robot, and the measurements that are to identify them.
+    """Unknown parameters of a robot, and the measurements that should identify them.
 
     Attributes:
         bodies: Names of the bodies whose inertial parameters are unknown, ten each.
         effects: Effects with unknown parameters and their nominal values; payloads come first.
-        noise: (m,) deviations of the measurements of one sample: nv efforts, N·m or N, or the six
-            components of a base wrench, N·m and N.
+        noise: (m,) standard deviations of the measurements of one sample: nv efforts, N·m or N, or
+            the six components of a base wrench, N·m and N.
         sign_width: (nv,) speed over which friction changes sign, rad/s or m/s.
-        X_WP: Frame of the base wrench, if that is what is measured; None for efforts.
-        trial: States that excite all that is identifiable; random ones through all positions if
-            None. What they hardly excite counts as not identifiable.
+        X_WP: Frame of the measured base wrench; None for efforts.
+        trial: States that excite all identifiable parameters; random ones at all positions if
+            None. Directions that they hardly excite count as unidentifiable.
     """
 
     model: RobotModel
@@ -90,39 +90,40 @@ class Target(Short):
 
     @property
     def further(self) -> tuple[FittedEffect, ...]:
-        """The effects that are no payloads."""
+        """The effects that are not payloads."""
         return self.effects[len(self.payloads) :]
 
     @cached_property
     def columns(self) -> Indices:
         """Columns of the inertial regressor that belong to unknown parameters."""
         carriers = [fitted.effect.where[0] for fitted in self.payloads]
-        at = np.array([self.model.bodies.index(n) for n in (*self.bodies, *carriers)], np.intp)
-        return (PARAMETERS_PER_BODY * at[:, None] + np.arange(PARAMETERS_PER_BODY)).ravel()
+        index = np.array([self.model.bodies.index(n) for n in (*self.bodies, *carriers)], np.intp)
+        return (PARAMETERS_PER_BODY * index[:, None] + np.arange(PARAMETERS_PER_BODY)).ravel()
 
     @cached_property
     def inertial_prior(self) -> Array:
         """(blocks, 10) nominal inertial parameters: bodies, then payloads."""
-        phi, own = self.model.with_volume.phi.copy(), {fitted.effect for fitted in self.payloads}
+        unknown = {fitted.effect for fitted in self.payloads}
+        phi = self.model.with_volume.phi.copy()
         for fitted in self.model.effects:
-            if is_payload(fitted.effect) and fitted.effect not in own:
+            if is_payload(fitted.effect) and fitted.effect not in unknown:
                 phi[self.model.bodies.index(fitted.effect.where[0])] += fitted.parameters
         rows = [phi[self.model.bodies.index(name)] for name in self.bodies]
         for fitted in self.payloads:
-            known = bool(is_physical(fitted.parameters))
-            rows.append(np.asarray(fitted.parameters) if known else payload_reference(phi))
+            physical = bool(is_physical(fitted.parameters))
+            rows.append(np.asarray(fitted.parameters) if physical else payload_reference(phi))
         return np.array(rows).reshape(-1, PARAMETERS_PER_BODY)
 
     @cached_property
     def spans(self) -> tuple[slice, ...]:
-        """Which of the p unknown parameters are those of each effect, after the bodies'."""
+        """Range of each effect among the p unknown parameters, after the bodies."""
         counts = [len(fitted.effect.parameters) for fitted in self.effects]
         ends = PARAMETERS_PER_BODY * len(self.bodies) + np.cumsum([0, *counts])
         return tuple(slice(*pair) for pair in pairwise(ends.tolist()))
 
     @property
     def further_spans(self) -> list[tuple[FittedEffect, slice]]:
-        """The effects that are no payloads, each with its parameters."""
+        """The effects that are not payloads, each with its range of parameters."""
         return [*zip(self.effects, self.spans, strict=True)][len(self.payloads) :]
 
     @property
@@ -146,9 +147,9 @@ class Target(Short):
 
     @cached_property
     def effect_sizes(self) -> Array:
-        """(k,) size of each parameter of an effect: its nominal value, if it has one.
+        """(k,) size of each parameter of an effect, its nominal value if nonzero.
 
-        A parameter of value zero is thought to explain a tenth of the joint's effort in random
+        A parameter of value zero is assumed to explain a tenth of the joint's effort in random
         motion.
         """
         sizes = np.abs(np.concatenate([np.zeros(0), *(f.parameters for f in self.further)]))
@@ -163,9 +164,9 @@ class Target(Short):
 
     @cached_property
     def base(self) -> BaseParameters:
-        """The combinations that are identifiable at all, those of the robot's inertias first."""
+        """The identifiable combinations of parameters, those of the robot's inertias first."""
         X = self.measure(self.random_motion).regressor / self.noise[:, None]
-        tolerance = _HARDLY if self.trial is not None else _NOT_AT_ALL
+        tolerance = _TRIAL_TOLERANCE if self.trial is not None else _RANK_TOLERANCE
         return base_parameters(X, extra=self.size - len(self.columns), tolerance=tolerance)
 
     @cached_property
@@ -181,7 +182,7 @@ class Target(Short):
 
     @cached_property
     def random_motion(self) -> Motion:
-        """A motion through all positions whose accelerations matter as much as gravity."""
+        """A random motion at all positions whose inertial efforts are as large as gravity's."""
         if self.trial is not None:
             return self.trial
         random, nv = np.random.default_rng(0), len(self.model.joints)
@@ -189,11 +190,11 @@ class Target(Short):
         q = random.uniform(*_ranges(self.model), (count, self.model.tree.num_positions))
         q = self.model.tree.inside(q)
         v, vd = random.uniform(-1.0, 1.0, (2, count, nv))
-        still, phi = np.zeros_like(v), self.model.total_phi
-        held = inverse_dynamics(self.model.tree, q, still, still, phi)
-        moved = inverse_dynamics(self.model.tree, q, v, vd, phi) - held
-        heaviness = np.linalg.norm(held) / np.linalg.norm(moved)
-        rate = np.sqrt(heaviness) if heaviness > _WEIGHTLESS else 1.0
+        zeros, phi = np.zeros_like(v), self.model.total_phi
+        gravity = inverse_dynamics(self.model.tree, q, zeros, zeros, phi)
+        inertial = inverse_dynamics(self.model.tree, q, v, vd, phi) - gravity
+        ratio = np.linalg.norm(gravity) / np.linalg.norm(inertial)
+        rate = np.sqrt(ratio) if ratio > _WEIGHTLESS else 1.0
         return Motion(q, rate * v, rate**2 * vd)
 
     def measure(self, motion: Motion) -> Measurement:
@@ -205,8 +206,8 @@ class Target(Short):
         Y = inverse_dynamics_regressor(tree, *samples)
         load = Y @ self.model.total_phi.ravel()
         seen = self.model.motion(motion, sign_width=self.sign_width, load=load)
-        every = np.array_equal(self.columns, np.arange(Y.shape[2]))
-        parts = [Y if every else Y[:, :, self.columns]]
+        is_complete = np.array_equal(self.columns, np.arange(Y.shape[2]))
+        parts = [Y if is_complete else Y[:, :, self.columns]]
         parts += [fitted.effect.regressor(seen) for fitted in self.further]
         return Measurement(motion, np.concatenate(parts, axis=2), seen)
 
@@ -223,15 +224,16 @@ def make_target(
     """Return the parameters that a motion of a robot should identify.
 
     Args:
-        noise: Deviation of the measurements: one, or one a joint (N·m or N); of a base wrench, one
-            for each of nx, ny, nz, fx, fy, fz. Default: what the model was fitted with, else one.
-        bodies: Names of the bodies with unknown inertial parameters. All by default; their prior
-            includes payloads that the model has, unless those are among `effects`.
-        effects: Effects with unknown parameters. Those of the model that are no payloads by
-            default. An `Effect` without values is thought to have a typical size.
-        sign_width: Speed over which friction changes sign; 2 % of each joint's fastest by default.
-        X_WP: Frame of the base wrench, if a force plate or base sensor is what measures. Effects
-            do not show there.
+        noise: Standard deviation of the measurements, one or one per joint (N·m or N); of a base
+            wrench, one for each of nx, ny, nz, fx, fy, fz. Default: that of the model's last fit,
+            otherwise one.
+        bodies: Names of the bodies with unknown inertial parameters; all by default. Their prior
+            includes the model's payloads, unless those are among `effects`.
+        effects: Effects with unknown parameters; by default those of the model except payloads.
+            An `Effect` without values is assumed to have a typical size.
+        sign_width: Speed over which friction changes sign; by default 2 % of each velocity limit.
+        X_WP: Frame of the base wrench of a force plate or base sensor. It measures no internal
+            effects.
     """
     instance(model, "model", RobotModel)
     if X_WP is not None:
@@ -250,7 +252,7 @@ def make_target(
         one_of(name, "body", model.bodies)
     if not bodies and not ordered:
         raise ArgumentError(
-            "There is nothing to identify: no body and no effect is unknown.",
+            "There is nothing to identify: no body or effect is unknown.",
             advice="Choose bodies or effects.",
         )
     if X_WP is not None and any(not is_payload(fitted.effect) for fitted in ordered):
@@ -261,8 +263,8 @@ def make_target(
     if noise is None:
         noise = 1.0 if model.effort_noise is None or X_WP is not None else model.effort_noise
     rows = model.joints if X_WP is None else WRENCH
-    fastest = model.velocity_limits
-    widths = np.where(np.isfinite(fastest), _SIGN_SHARE * fastest, _SIGN_SHARE)
+    limits = model.velocity_limits
+    widths = np.where(np.isfinite(limits), _SIGN_SHARE * limits, _SIGN_SHARE)
     return Target(
         model,
         tuple(bodies),
@@ -274,7 +276,7 @@ def make_target(
 
 
 def _checked_noise(noise: ArrayLike, rows: Sequence[str]) -> Array:
-    """Return the deviations (m,)."""
+    """Return the standard deviations (m,)."""
     given = real_array(noise, "noise", finite=False)
     if given.shape not in ((), (1,), (len(rows),)):
         raise ArgumentError(
@@ -285,7 +287,7 @@ def _checked_noise(noise: ArrayLike, rows: Sequence[str]) -> Array:
     wrong = [n for n, x in zip(rows, values.tolist(), strict=True) if not least <= x <= most]
     if wrong:
         raise ArgumentError(
-            f"The noise of {', '.join(wrong)} is not a positive number, from {least:g} to "
+            f"The noise of {', '.join(wrong)} is not a positive number between {least:g} and "
             f"{most:g}: {values.tolist()}.",
             advice="Without noise, every motion identifies everything exactly. Use the "
             "standard deviation of the measured efforts, such as 1 % of the largest one.",
@@ -295,35 +297,35 @@ def _checked_noise(noise: ArrayLike, rows: Sequence[str]) -> Array:
 
 
 def _ranges(model: RobotModel) -> tuple[Array, Array]:
-    """Return ranges of random positions: a whole turn, of sliding joints what limits allow."""
+    """Return ranges of random positions: a full turn, or the limits of sliding joints."""
     lower, upper = model.position_limits
-    sliding = [at for at in model.single_places if model.joints[at] in model.sliding_joints]
+    sliding = [k for k in model.single_places if model.joints[k] in model.sliding_joints]
     limited = np.isin(np.arange(len(lower)), sliding) & np.isfinite(lower) & np.isfinite(upper)
     return np.where(limited, lower, -np.pi), np.where(limited, upper, np.pi)
 
 
 def sized_effects(target: Target) -> tuple[FittedEffect, ...]:
-    """Return the effects of a target, those of parameters zero as large as they usually are.
+    """Return the effects of a target, replacing parameters of zero by typical values.
 
-    Friction is there however light a load is, so that the load alone does not give its size.
-    Payloads stay as they are.
+    These also depend on the effort limits, since friction exists at any load. Payloads are
+    unchanged.
     """
     limits = target.model.effort_limits
     X = target.measure(target.random_motion).regressor[:, :, len(target.columns) :]
-    acting = np.sqrt(np.mean(np.square(X), axis=0))  # (nv, k)
-    wanted = _LEAST_SHARE * np.where(np.isfinite(limits), limits, 0.0)[:, None]
-    least = np.where(acting > 0, wanted / np.where(acting > 0, acting, 1.0), np.inf).min(axis=0)
+    rms = np.sqrt(np.mean(np.square(X), axis=0))  # (nv, k)
+    effort = _LEAST_SHARE * np.where(np.isfinite(limits), limits, 0.0)[:, None]
+    least = np.where(rms > 0, effort / np.where(rms > 0, rms, 1.0), np.inf).min(axis=0)
     sizes = np.maximum(target.effect_sizes, np.where(np.isfinite(least), least, 0.0))
-    usual = np.concatenate([np.zeros(len(target.columns)), sizes])
+    typical = np.concatenate([np.zeros(len(target.columns)), sizes])
     further = (
-        FittedEffect(f.effect, np.where(f.parameters, f.parameters, usual[span]))
+        FittedEffect(f.effect, np.where(f.parameters, f.parameters, typical[span]))
         for f, span in target.further_spans
     )
     return (*target.payloads, *further)
 
 
 def usual_target(model: RobotModel, *, noise: ArrayLike, effects: Sequence[Effect]) -> Target:
-    """Return the target of all that a model has but payloads, and of effects of unknown size."""
+    """Return the target of a model without its payloads, plus effects of unknown size."""
     known = [fitted for fitted in model.effects if not is_payload(fitted.effect)]
     if effects:
         known += sized_effects(make_target(model, noise=noise, effects=effects))
@@ -331,11 +333,11 @@ def usual_target(model: RobotModel, *, noise: ArrayLike, effects: Sequence[Effec
 
 
 def usual_noise(model: RobotModel) -> tuple[Array, str]:
-    """Return noise of motors' efforts where nobody says it, N·m or N, and where it comes from."""
-    at = [k for k, joint in enumerate(model.joints) if joint not in model.base_joints]
+    """Return the default noise of motor efforts, N·m or N, and a description of its source."""
+    motors = [k for k, joint in enumerate(model.joints) if joint not in model.base_joints]
     if model.effort_noise is not None:
-        return model.effort_noise[at], "the held-out residuals of the model's last fit"
-    limits = model.effort_limits[at]
+        return model.effort_noise[motors], "the held-out residuals of the model's last fit"
+    limits = model.effort_limits[motors]
     if np.isfinite(limits).all() and (limits > 0).all():
         share = f"{100 * _NOISE_SHARE:.0f} % of the effort limits"
         return _NOISE_SHARE * limits, f"{share}, as nothing else is known"

@@ -1,4 +1,4 @@
-"""One motion of a robot, and the files that others take it from: logs, ROS, Drake."""
+"""Trajectories of a robot, and their export to logs, ROS and Drake."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ from geodrake.logs.motion import JointLog, Motion
 from geodrake.model.robot_model import RobotModel
 
 _LOGS, _YAML, _DRAKE = (".csv", ".txt", ".npz"), (".yaml", ".yml"), (".drake.yaml", ".drake.yml")
-_MOST_INSTANTS = 1e6  # of a file
-_DEGREE = 5  # of the spline that stands for others in Drake
-_PER_FASTEST = 64  # its intervals in a family's shortest time: errors of some 1e-9
+_MOST_INSTANTS = 1e6  # per file
+_DEGREE = 5  # of interpolating splines
+_PER_FASTEST = 64  # their intervals per shortest time scale, for errors of about 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class ExcitationTrajectory(Short):
-    """Positions of all joints over time, out of a family of motions.
+    """Positions of all joints over time, from a family of motions.
 
-    Each joint has one degree of freedom, so that Drake's order of positions is that of velocities.
+    Each joint has one degree of freedom, so Drake's order of positions is that of velocities.
 
     Attributes:
         coefficients: (count, nv) coefficients, a column for each joint of the model.
-        joints: Names of the joints in the order of velocities; of a robot on its feet those of its
-            motors, which follow from the free joints of the stance's model.
-        stance: How the robot stands, if on feet.
+        joints: Names of the joints in the order of velocities; for a robot on its feet those of the
+            motors, which depend on the free joints of the stance's model.
+        stance: The stance of a robot on its feet.
     """
 
     family: MotionFamily
@@ -51,12 +51,12 @@ class ExcitationTrajectory(Short):
 
     @property
     def free_joints(self) -> tuple[str, ...]:
-        """Names of the joints that the coefficients are of."""
+        """Names of the joints to which the coefficients belong."""
         return self.joints if self.stance is None else self.stance.model.joints
 
     @property
     def length(self) -> float:
-        """Duration, s; zero if samples do not follow each other."""
+        """Duration, s; zero if samples are not ordered in time."""
         return self.family.length
 
     def free_states(self, times: ArrayLike) -> Array:
@@ -74,14 +74,14 @@ class ExcitationTrajectory(Short):
         return Motion(q, v, vd, np.atleast_1d(np.asarray(times, float)) if self.length else None)
 
     def efforts(self, model: RobotModel, times: ArrayLike, *, sign_width: ArrayLike = 0.0) -> Array:
-        """Return the efforts (N, ·) that a model predicts by joint at times (N,), N·m or N."""
+        """Return the predicted efforts (N, ·) by joint at times (N,), N·m or N."""
         motion = self.motion(times)
         if self.stance is None:
             return instance(model, "model", RobotModel).effort(motion, sign_width=sign_width)
         return self.stance.efforts(motion, sign_width)
 
     def followed_by(self, *others: ExcitationTrajectory) -> ExcitationTrajectory:
-        """Return this and other motions of the same joints, one after the other."""
+        """Return the sequence of this and other motions of the same joints."""
         if not others:
             return self
         parts = self, *others
@@ -92,8 +92,8 @@ class ExcitationTrajectory(Short):
     def to_drake(self) -> BsplineTrajectory:
         """Return the positions as a Drake trajectory, with derivatives.
 
-        A spline motion is itself; others are interpolated, a Fourier motion to about 1e-9 of its
-        size, ramps to 1e-5.
+        A spline motion is exact. Others are interpolated with a relative error of about 1e-9 for
+        Fourier motions and 1e-5 for ramps.
         """
         self._require_time("Drake trajectory")
         family, degree = self.family, _DEGREE
@@ -109,9 +109,9 @@ class ExcitationTrajectory(Short):
         return BsplineTrajectory(basis, [np.array(point)[:, None] for point in points])
 
     def log(self, model: RobotModel, *, rate: float = 100.0, name: str = "excitation") -> JointLog:
-        """Return the motion as a log at a rate (1/s), with the efforts that the model predicts.
+        """Return the motion as a log at a rate (1/s), with predicted efforts.
 
-        That of a robot on its feet has the pose of its base.
+        The log of a robot on its feet includes the pose of its base.
         """
         instance(model, "model", RobotModel)
         times = self.instants(rate)
@@ -143,16 +143,16 @@ class ExcitationTrajectory(Short):
 def write_trajectory(
     trajectory: ExcitationTrajectory, path: str | Path, model: RobotModel, *, rate: float = 100.0
 ) -> None:
-    """Write a motion, whole or not at all.
+    """Write a motion to a file atomically.
 
     Args:
-        path: Where to: `.csv` or `.npz` for a log with the predicted efforts, `.yaml` for a ROS
-            trajectory_msgs/JointTrajectory, which `ros2 topic pub` takes, `.drake.yaml` for a
-            Drake BsplineTrajectory, which `read_drake_trajectory` takes.
+        path: `.csv` or `.npz` for a log with the predicted efforts, `.yaml` for a ROS
+            trajectory_msgs/JointTrajectory for `ros2 topic pub`, `.drake.yaml` for a Drake
+            BsplineTrajectory for `read_drake_trajectory`.
 
     Raises:
-        OutputError: The suffix is another, or the file cannot be written.
-        ArgumentError: The samples do not follow each other in time.
+        OutputError: The suffix is not supported, or the file cannot be written.
+        ArgumentError: The samples are not ordered in time.
     """
     path = file_path(path)
     write_whole(path, trajectory_content(trajectory, path, model, rate=rate))
@@ -179,9 +179,9 @@ def trajectory_content(
 
 
 def ros_joint_trajectory(trajectory: ExcitationTrajectory, *, rate: float = 100.0) -> str:
-    """Return a motion as YAML of the message trajectory_msgs/JointTrajectory of ROS 2.
+    """Return a motion as YAML of a ROS 2 trajectory_msgs/JointTrajectory message.
 
-    Efforts are left empty, since position and velocity controllers refuse them.
+    Efforts are empty, since position and velocity controllers reject them.
     """
     times = instance(trajectory, "trajectory", ExcitationTrajectory).instants(rate)
     lines = [
@@ -206,8 +206,7 @@ def ros_joint_trajectory(trajectory: ExcitationTrajectory, *, rate: float = 100.
 def drake_trajectory(trajectory: ExcitationTrajectory) -> str:
     """Return a motion's positions as YAML of a Drake BsplineTrajectory.
 
-    The fields are those by which Drake's C++ classes go through YAML: `LoadYamlFile` of
-    `BsplineTrajectory<double>` takes it as well.
+    Drake's C++ `LoadYamlFile<BsplineTrajectory<double>>` reads it as well.
     """
     spline = instance(trajectory, "trajectory", ExcitationTrajectory).to_drake()
     basis = {"order": spline.basis().order(), "knots": list(spline.basis().knots())}
@@ -216,20 +215,20 @@ def drake_trajectory(trajectory: ExcitationTrajectory) -> str:
 
 
 def read_drake_trajectory(path: str | Path) -> BsplineTrajectory:
-    """Return the positions over time, s, of a motion that was written to `.drake.yaml`."""
+    """Return the positions over time, s, from a `.drake.yaml` file."""
     path = file_path(path)
     try:
-        found = yaml_load(filename=str(path))
-        basis, points = found["basis"], np.array(found["control_points"], float)
+        fields = yaml_load(filename=str(path))
+        basis, points = fields["basis"], np.array(fields["control_points"], float)
         knots = [float(knot) for knot in basis["knots"]]
         return BsplineTrajectory(BsplineBasis(int(basis["order"]), knots), list(points))
-    except Exception as error:  # YAML's errors are of many kinds, and Drake's RuntimeErrors
+    except Exception as error:  # YAML raises many types of errors, and Drake RuntimeErrors
         raise ArgumentError(
-            f"{str(path)!r} has no B-spline: {error}",
-            advice="Use a .drake.yaml file that `geodrake excite --save` wrote.",
+            f"{str(path)!r} does not contain a B-spline: {error}",
+            advice="Use a .drake.yaml file written by `geodrake excite --save`.",
         ) from error
 
 
 def _numbers(values: Iterable[float]) -> str:
-    """Return a list in decimal notation with a point, which every YAML reader takes for floats."""
+    """Return a list in decimal notation with a point, which all YAML readers parse as floats."""
     return "[" + ", ".join(f"{value:.9f}" for value in values) + "]"

@@ -228,7 +228,7 @@ class TestFeet:
             design_excitation(make_target(biped(), noise=1.0), trajectory=FAMILY)
         stance = standing("l_foot")
         other = make_target(replace(stance.model), noise=1.0)
-        with pytest.raises(ArgumentError, match="another robot than stands"):
+        with pytest.raises(ArgumentError, match="another robot than the stance"):
             design_excitation(other, options=DesignOptions(stance=stance), trajectory=FAMILY)
         limits = motion_limits(load_model(MODELS / "arm6.urdf"), bounded=True)
         with pytest.raises(ArgumentError, match="but the motors are"):
