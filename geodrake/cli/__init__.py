@@ -1,4 +1,4 @@
-"""The `geodrake` command: compare, diagnose, add, explain, identify, demo."""
+"""The `geodrake` command line."""
 
 from geodrake.cli.interruption import interruptible
 
@@ -6,7 +6,7 @@ __all__ = ["main"]
 
 
 def main() -> None:
-    """Run the command; interrupts end it with one word, even during imports."""
+    """Run the command. Interrupts end it with one word, even during imports."""
     with interruptible():
         from geodrake.cli.app import main as run
 

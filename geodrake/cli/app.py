@@ -20,15 +20,15 @@ _GARBAGE = 100_000  # allocations between two runs of the garbage collector
 
 
 class _Command(TyperCommand):
-    """A command whose help has no Python types, and advanced options only with --help-all."""
+    """A command whose help omits Python types and, without --help-all, advanced options."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         _, _, parameters = self.make_parser(ctx).parse_args(list(args))
-        given = [each for each in parameters if isinstance(each, TyperOption)]
-        for each in given:
-            once = not each.multiple and (not each.is_flag or each.secondary_opts)
-            if once and given.count(each) > 1:
-                raise typer.BadParameter("it is given more than once. Give it once.", ctx, each)
+        given = [option for option in parameters if isinstance(option, TyperOption)]
+        for option in given:
+            is_single = not option.multiple and (not option.is_flag or option.secondary_opts)
+            if is_single and given.count(option) > 1:
+                raise typer.BadParameter("it is given more than once. Give it once.", ctx, option)
         return super().parse_args(ctx, args)
 
     def get_params(self, ctx: Any) -> list[Any]:
@@ -36,23 +36,22 @@ class _Command(TyperCommand):
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         pieces: list[str] = super().collect_usage_pieces(ctx)
-        return [each.strip("{}.") + "..." * each.endswith("...") for each in pieces]
+        return [piece.strip("{}.") + "..." * piece.endswith("...") for piece in pieces]
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        hidden = [
-            each for each in self.params if not ctx.meta.get(ALL_OPTIONS) and is_advanced(each)
-        ]
-        for each in hidden:
-            each.hidden = True  # type: ignore[attr-defined]
+        show_all = ctx.meta.get(ALL_OPTIONS)
+        hidden = [param for param in self.params if not show_all and is_advanced(param)]
+        for param in hidden:
+            param.hidden = True  # type: ignore[attr-defined]
         try:
             super().format_help(ctx, formatter)
         finally:
-            for each in hidden:
-                each.hidden = False  # type: ignore[attr-defined]
+            for param in hidden:
+                param.hidden = False  # type: ignore[attr-defined]
 
 
 class _Commands(TyperGroup):
-    """The commands; usage errors quote the command line in printable characters."""
+    """The group of commands; usage errors quote the command line in printable characters."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         return _without_types(super().get_params(ctx))
@@ -67,10 +66,10 @@ class _Commands(TyperGroup):
 
 
 def _without_types(parameters: list[Any]) -> list[Any]:
-    """Return parameters whose help names no Python types of arguments and flags."""
-    for each in parameters:
-        if isinstance(each, TyperArgument) or each.is_flag:
-            each.display_type_rich = lambda ctx: None
+    """Return parameters whose help omits the Python types of arguments and flags."""
+    for parameter in parameters:
+        if isinstance(parameter, TyperArgument) or parameter.is_flag:
+            parameter.display_type_rich = lambda ctx: None
     return parameters
 
 
@@ -79,8 +78,8 @@ def _printable_words() -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        if isinstance(words := getattr(error, "message", None), str):  # of an error of usage
-            error.message = printable(words)  # type: ignore[attr-defined]
+        if isinstance(message := getattr(error, "message", None), str):  # a usage error
+            error.message = printable(message)  # type: ignore[attr-defined]
         raise
 
 
@@ -111,7 +110,7 @@ _COMMANDS: dict[str, tuple[str, type[Any]]] = {
     "log": ("logs.run_log", options.LogCommandOptions),
     "demo": ("explaining.run_demo", options.DemoOptions),
 }
-"""Command -> the function that runs it, and its options, whose docstrings are its help."""
+"""Command -> its function, and its options class, whose docstring is its help."""
 
 EXAMPLES = {name: options.examples_of(kind) for name, (_, kind) in _COMMANDS.items()}
 
@@ -124,7 +123,7 @@ def main() -> None:
 
 
 for _name, (_place, _kind) in _COMMANDS.items():
-    _lines = [f"geodrake {_name} {each}" for each in EXAMPLES[_name]]
+    _lines = [f"geodrake {_name} {example}" for example in EXAMPLES[_name]]
     _epilog = "\n\n".join(["Examples:", *_lines]) if _lines else None
     app.command(name=_name, cls=_Command, epilog=_epilog)(options.command_of(_place, _kind))
 

@@ -60,10 +60,10 @@ PAGE = (".html", ".htm")
 
 @dataclass(frozen=True)
 class Output:
-    """A file that a command writes if the option of this name names it."""
+    """An optional output file of a command."""
 
     words: str  # description
-    suffixes: tuple[str, ...] = PAGE  # allowed endings of its name
+    suffixes: tuple[str, ...] = PAGE  # allowed file extensions
     # Returns the content for a result and a path; None if there is nothing to write.
     make: Callable[[Any, Path], Content | None] = lambda found, path: None
 
@@ -74,10 +74,9 @@ class Input:
 
     model: RobotModel  # None only for commands without MODEL
     logs: tuple[JointLog, ...]
-    extra: tuple[type[Effect], ...]  # effects of the user's own
-    # How logs are prepared: bandwidth and, with folds, blocks, as keyword arguments.
-    settings: Mapping[str, Any]
-    progress: Activity  # called with the current activity, and its share that is done
+    extra: tuple[type[Effect], ...]  # user-defined effects
+    settings: Mapping[str, Any]  # of log preparation: bandwidth and, for validation, blocks
+    progress: Activity  # called with the current activity and its completed share
 
 
 def _write(result: object, contents: Mapping[Path, Content]) -> Sequence[Path]:
@@ -88,16 +87,14 @@ def _write(result: object, contents: Mapping[Path, Content]) -> Sequence[Path]:
 
 @dataclass(frozen=True)
 class Command(Generic[R]):
-    """The parts in which commands differ."""
+    """The definition of a command."""
 
     name: str
     working: str  # description of the work, for the progress bar
     work: Callable[[Input], R]
     inputs: Sequence[Path] = ()  # files that are read in addition to those of the options
-    # Whether the logs are read before the work; else the command reads them itself.
-    reads_logs: bool = True
-    # Whether it reports missing logs itself.
-    takes_bad_logs: bool = False
+    reads_logs: bool = True  # whether logs are read before the work, not by the command itself
+    takes_bad_logs: bool = False  # whether the command reports missing logs itself
     # Option -> outputs in addition to numbers, page, model and samples.
     outputs: Mapping[str, Output] = field(default_factory=dict)
     # Raises if an effect does not exist, before anything is read.
@@ -128,16 +125,15 @@ def _run(command: Command[R], options: Any) -> R:
     name = (_models(options) or options.logs)[0].name
     with progress(f"Reading {name}", quiet=options.quiet) as update:
         given = _read(command, options, outputs, update)
-        given, told, said = _with_columns(options, given, update)
+        given, column_numbers, messages = _with_columns(options, given, update)
         update(command.working)
         result = command.work(given)
         update("Writing")
         fitted, view = getattr(result, "model", given.model), view_of(result)
-        numbers = to_json(
-            {"version": version(), "command": command.name, **view.numbers(result), **told}
-        )
+        header = {"version": version(), "command": command.name}
+        numbers = to_json({**header, **view.numbers(result), **column_numbers})
         page = view.page(result, _about(command, options, fitted, given.extra))
-        mistakes = Section("Check first: the columns of the logs", items=tuple(said))
+        mistakes = Section("Check first: the columns of the logs", items=tuple(messages))
         page = replace(page, first=(mistakes, *page.first))
         makers: dict[str, Callable[[Path], Content | None]] = {
             "json": lambda path: numbers,
@@ -147,8 +143,8 @@ def _run(command: Command[R], options: Any) -> R:
         }
         contents, saved = dict[Path, Content](), dict[Path, str]()
         for option, path in files_of(outputs, options).items():
-            own = option in command.outputs
-            content = outputs[option].make(result, path) if own else makers[option](path)
+            is_specific = option in command.outputs
+            content = outputs[option].make(result, path) if is_specific else makers[option](path)
             if content is not None:
                 contents[path], saved[path] = content, outputs[option].words
         others = command.write(result, contents)
@@ -167,7 +163,7 @@ def _run(command: Command[R], options: Any) -> R:
 
 
 def _html(page: Page, model: RobotModel) -> str:
-    from geodrake.report.html import render  # as jinja2 and matplotlib take a while
+    from geodrake.report.html import render  # imports jinja2 and matplotlib, which are slow
     from geodrake.report.pictures import error_pictures
 
     return render(replace(page, pictures=error_pictures(model, page.compared)))
@@ -176,7 +172,7 @@ def _html(page: Page, model: RobotModel) -> str:
 def _about(
     command: Command[R], options: Any, model: RobotModel, extra: Sequence[type[Effect]]
 ) -> About:
-    """Return the names of a page's inputs, and its links to the other pages that are written."""
+    """Return the names of a page's inputs, and links to other pages of the command."""
     save, models = getattr(options, "save", None), _models(options)
     folder = (getattr(options, "report", None) or Path()).resolve().parent
     links = {}
@@ -237,9 +233,9 @@ def _checked_outputs(command: Command[R], options: Any) -> dict[str, Output]:
 
 
 def _path(options: Any, name: str) -> Path | None:
-    """Return the file that an option names, which is the last of its values."""
-    found = getattr(options, name, None)
-    return found[-1] if isinstance(found, tuple) else found
+    """Return the file named by an option, the last of its values."""
+    value = getattr(options, name, None)
+    return value[-1] if isinstance(value, tuple) else value
 
 
 def files_of(outputs: Iterable[str], options: Any) -> dict[str, Path]:
@@ -280,10 +276,10 @@ def check_outputs(outputs: Mapping[str, Output], options: Any, inputs: Iterable[
 
 
 def _place(path: Path) -> str:
-    """Return the path with symbolic links resolved, also broken ones."""
+    """Return the path with symbolic links resolved, even broken ones."""
     try:
         return os.path.realpath(path)
-    except ValueError:  # a null character, which is refused where the file is read
+    except ValueError:  # a null character, rejected when the file is read
         return os.fspath(path)
 
 
@@ -297,19 +293,21 @@ def _read(
     if getattr(options, "model", None) is None:
         return Input(cast("RobotModel", None), (), extra, settings, update)
     model = read_model(options.model, options, update, extra)
-    check_outputs(outputs, options, [model.path])  # a saved model reads another one
+    check_outputs(outputs, options, [model.path])  # the base file of a saved model
     logs: tuple[JointLog, ...] = ()
-    given, asked = getattr(options, "logs", None), getattr(options, "reading", None)
-    if command.reads_logs and given:
+    files = getattr(options, "logs", None)
+    if command.reads_logs and files:
         update("Reading the logs")
-        known, reading = model.known_joints, reading_for(model, asked)
-        paths, found, unread = _readable(given, known, reading)
+        reading = reading_for(model, getattr(options, "reading", None))
+        paths, found, unread = _readable(files, model.known_joints, reading)
         model = model_of_logs(model, found, hold_resting=getattr(options, "hold_resting", False))
         model = replace(model, notes=(*unread, *model.notes)) if unread else model
         command.check(model)
-        carried = known_payloads(paths, getattr(options, "known_payload", None) or (), model)
-        named = zip(paths, found, strict=True)
-        logs = tuple(replace(o, payloads=carried[p]) if p in carried else o for p, o in named)
+        payloads = known_payloads(paths, getattr(options, "known_payload", None) or (), model)
+        logs = tuple(
+            replace(log, payloads=payloads[path]) if path in payloads else log
+            for path, log in zip(paths, found, strict=True)
+        )
     else:
         command.check(model)
     return Input(model, logs, extra, settings, update)
@@ -319,55 +317,56 @@ def _readable(
     paths: Sequence[Path], joints: Sequence[str], reading: Reading
 ) -> tuple[list[Path], list[JointLog], list[str]]:
     """Return the logs that can be read, with their paths, and notes on the others."""
-    kept, logs, errors = list[Path](), list[JointLog](), list[tuple[Path, LogError]]()
+    readable, logs, errors = list[Path](), list[JointLog](), list[tuple[Path, LogError]]()
     for path in paths:
         try:
             logs.append(read_log(path, joints=joints, partial=True, reading=reading))
-            kept.append(path)
+            readable.append(path)
         except LogError as error:
             errors.append((path, error))
     if not logs:
         raise errors[0][1]
-    return kept, logs, [f"{path.name} is not used: {error.problem}" for path, error in errors]
+    return readable, logs, [f"{path.name} is not used: {error.problem}" for path, error in errors]
 
 
 def _with_columns(
     options: Any, given: Input, update: Activity
 ) -> tuple[Input, dict[str, Any], list[str]]:
-    """Return the input with corrected columns, and what to say of columns in JSON and in words."""
+    """Return the input with corrected columns, and findings on columns for JSON and for users."""
     if not isinstance(options, Options):
         return given, {}, []
     update("Checking the columns")
-    asked = {key: given.settings[key] for key in ("bandwidth", "blocks")}
-    columns, unchecked = found_columns(given.model, given.logs, asked), unchecked_words(given.model)
-    told = {
-        "columns": [record("ColumnFinding", each) for each in columns],
+    settings = {key: given.settings[key] for key in ("bandwidth", "blocks")}
+    columns = found_columns(given.model, given.logs, settings)
+    unchecked = unchecked_words(given.model)
+    numbers = {
+        "columns": [record("ColumnFinding", finding) for finding in columns],
         "columns_are_checked": not unchecked,
     }
-    said = [*map(str, columns)]
+    messages = [*map(str, columns)]
     if any(finding.is_correctable for finding in columns):
-        said.append(_CORRECTED if options.correct_columns else _UNCORRECTED)
+        messages.append(_CORRECTED if options.correct_columns else _UNCORRECTED)
         if options.correct_columns:
             logs = tuple(corrected(log, columns) for log in given.logs)
             model = with_motor_limits(given.model, given.logs, columns)
-            if options.hold_resting:  # as is known of columns in rad alone
+            if options.hold_resting:  # only reliable with positions in rad
                 model = holding_resting(model, logs)
             given = replace(given, model=model, logs=logs)
-    return given, told, [*said, *unchecked]
+    return given, numbers, [*messages, *unchecked]
 
 
 def own_effects(paths: Iterable[Path]) -> tuple[type[Effect], ...]:
     """Return the effects of all files; names must be unique."""
-    found: dict[str, type[Effect]] = {}
+    effects: dict[str, type[Effect]] = {}
     for path in paths:
         for effect in load_effect_file(path):
-            if effect.name in found:
+            if effect.name in effects:
                 raise ArgumentError(
                     f"Two --effects files define {effect.name!r}; the second is {path}.",
                     advice="Rename or remove one of them.",
                 )
-            found[effect.name] = effect
-    return tuple(found.values())
+            effects[effect.name] = effect
+    return tuple(effects.values())
 
 
 def make_console(*, stderr: bool = False) -> Console:
@@ -418,7 +417,7 @@ def known_payloads(
         name = max((n for n in names if text.startswith(f"{n}:")), key=len, default=None)
         if name is None:
             raise ArgumentError(
-                f"--known-payload {text!r} begins with none of the logs.",
+                f"--known-payload {text!r} does not begin with a log.",
                 advice=f"Logs are: {', '.join(map(str, files))}. {_PAYLOAD}",
             )
         exact = [log for log in files if str(log) == name]

@@ -71,15 +71,15 @@ _PLATE_WORDS = (
     f"noise: {100 * _PLATE_SHARE:.0f} % of the weight, moments at {_PLATE_ARM:g} m, as nothing "
     "else is known"
 )
-_UNDER = 0.001  # m, by which a floor is beneath the clearance of feet that stand on it
-_REPEATS = 3  # periods of a motion that distinguishes effects, as a diagnosis holds out blocks
+_UNDER = 0.001  # m, gap between an assumed floor and the clearance below the feet
+_REPEATS = 3  # periods of a motion that distinguishes effects, so every block contains some
 _QUANTITIES = ("position", "velocity", "acceleration", "effort", "jerk", *SIGNAL_KINDS)
 _JOINTS = "joint_1=0.1,joint_2=0.2"
 _EXAMPLE = "Write 0.5, velocity=1.5, velocity=50% or JOINT.position=-1:0.5."
 
 
 def run_excite(options: ExciteOptions) -> None:
-    """Design a motion."""
+    """Run `geodrake excite`: design a motion."""
     files, names = split_effects(options.effects)
     _check(options, names)
     family = family_of(options)
@@ -103,7 +103,7 @@ def run_excite(options: ExciteOptions) -> None:
 
 
 def run_identifiable(options: IdentifiableOptions) -> None:
-    """Show what is identifiable from logs."""
+    """Run `geodrake identifiable`: show which parameters logs identify."""
     positive(options.threshold, "--threshold")
     files, names = split_effects(options.effects)
 
@@ -132,10 +132,10 @@ def family_of(options: ExciteOptions) -> MotionFamily:
             if other != name and getattr(options, key) is not None:
                 raise ArgumentError(f"--{key} needs --trajectory {other}, not {name}.")
     if name == "free":
-        wanted = [o for o in ("save", "meshcat", "stand") if getattr(options, o) is not None]
-        if wanted:
+        unsuitable = [o for o in ("save", "meshcat", "stand") if getattr(options, o) is not None]
+        if unsuitable:
             raise ArgumentError(
-                f"--{wanted[0]} does not apply to --trajectory free, whose samples are no motion.",
+                f"--{unsuitable[0]} does not apply to --trajectory free, which is not a motion.",
                 advice="Use --trajectory fourier or spline.",
             )
         return FreeSamples(50 if options.samples is None else options.samples)
@@ -188,8 +188,8 @@ def _designed(
     if model.base_joints and options.feet is None:
         raise ArgumentError(
             f"The base of {model.path.name} is free, but nothing supports it.",
-            advice="Name the links that it stands on: --feet LINK,LINK. If its base is held, as of "
-            "a robot that hangs, omit --floating.",
+            advice="Name the links that it stands on: --feet LINK,LINK. If its base is fixed, as "
+            "for a hanging robot, omit --floating.",
         )
     budget = Budget.of(options.seconds)
     limits, margins = _limits(options, model)
@@ -197,10 +197,9 @@ def _designed(
     stand = None if options.stand is None else joint_values(options.stand, motors, "--stand")
     stance = None
     if options.feet is not None:
-        placed = start if stand is None else stand
+        posture = start if stand is None else stand
         feet = feet_in(options.feet)
-        how = {"posture": placed, "friction": options.friction}
-        stance = make_stance(model, feet, limits=limits, **how)  # type: ignore[arg-type]
+        stance = make_stance(model, feet, limits=limits, posture=posture, friction=options.friction)
         if stand is None and len(feet) > 1:
             stand = stance.placed
     robot = model if stance is None else stance.model
@@ -243,14 +242,14 @@ def _designed(
 def _limits(options: ExciteOptions, model: RobotModel) -> tuple[MotionLimits, tuple[str, ...]]:
     """Return the limits of the motion, and notes on those that were not stated."""
     limits = limits_of(options.limits, model, bounded=True)
-    said = [part for text in options.limits or () for part in text.split(",") if part]
+    stated = [part for text in options.limits or () for part in text.split(",") if part]
     notes = []
-    if all("=" in part and "velocity" not in part for part in said):
+    if all("=" in part and "velocity" not in part for part in stated):
         limits = replace(limits, velocity=_MARGIN * limits.velocity)
         share = f"{100 * _MARGIN:.0f} %"
         notes.append(f"speeds are limited to {share} of their limits (--limits velocity=100%)")
     motors = [k for k, joint in enumerate(model.joints) if joint in limits.joints]
-    if not any("acceleration" in part for part in said) and np.any(
+    if not any("acceleration" in part for part in stated) and np.any(
         ~np.isfinite(model.acceleration_limits[motors])
     ):
         notes.append(
@@ -258,11 +257,11 @@ def _limits(options: ExciteOptions, model: RobotModel) -> tuple[MotionLimits, tu
             f"largest joint inertia, and to full speed in {FULL_SPEED:g} s; jerks to full "
             f"acceleration in {FULL_EFFORT:g} s (--limits acceleration=5,jerk=50)"
         )
-    blind = [j for j, e in zip(limits.joints, limits.effort, strict=True) if not np.isfinite(e)]
-    if blind:
+    unlimited = [j for j, e in zip(limits.joints, limits.effort, strict=True) if np.isinf(e)]
+    if unlimited:
         notes.append(
-            f"WARNING: {', '.join(blind)} have no effort limits, so the motion may exceed what the "
-            "motors can do (--limits effort=40)"
+            f"WARNING: {', '.join(unlimited)} have no effort limits, so the motion may exceed what "
+            "the motors can do (--limits effort=40)"
         )
     return limits, tuple(notes)
 
@@ -276,14 +275,14 @@ def _objective(
 ) -> tuple[Objective, tuple[str, ...]]:
     """Return the objective of the motion, and notes."""
     criterion, model = Criterion(options.criterion), given.model
+    notes: tuple[str, ...] = ()
     if stance is not None and options.force_plate:
         noise = _PLATE_SHARE * stance.weight * _PLATE_NOISE
         if options.noise is not None:
             noise = joint_values(options.noise, WRENCH, "--noise")
         target = stance.target(noise=noise, on_plate=True)
-        said = () if options.noise is not None else (_PLATE_WORDS,)
-        return Objective(target, criterion, options.normalization), said
-    notes: tuple[str, ...] = ()
+        notes = () if options.noise is not None else (_PLATE_WORDS,)
+        return Objective(target, criterion, options.normalization), notes
     if options.noise is not None:
         noise = joint_values(options.noise, motors_of(model), "--noise")
     else:
@@ -345,7 +344,7 @@ def _collisions(
     notes: tuple[str, ...] = ()
     has_floor = any(solid.name.startswith(FLOOR) for solid in obstacles)
     if options.floor and not has_floor and options.feet is not None:
-        # Beneath the feet, which touch the ground.
+        # The floor is below the feet, as these touch the ground.
         obstacles = (floor_of(model, below=options.clearance + _UNDER), *obstacles)
     elif options.floor and not has_floor:
         floor = floor_of(model)
@@ -370,17 +369,17 @@ def _replay(result: ExcitationResult, path: Path) -> str:
 
 def rivals_in(text: str) -> tuple[Placed, Placed]:
     """Return names and places of two effects, `a@elbow,b@j1+j2`; places may be empty."""
-    found = []
+    rivals = []
     for part in text.split(","):
         name, _, places = part.strip().partition("@")
-        found.append((name, tuple(filter(None, places.split("+")))))
-    if len(found) != 2 or not all(name for name, _ in found):
+        rivals.append((name, tuple(filter(None, places.split("+")))))
+    if len(rivals) != 2 or not all(name for name, _ in rivals):
         raise ArgumentError(f"--tell-apart takes two effects; got {text!r}.", advice=_FORM)
-    return found[0], found[1]
+    return rivals[0], rivals[1]
 
 
 def joint_values(text: str, joints: Sequence[str], option: str) -> Array:
-    """Return (n,) values of joints from `0.1`, which is for all of them, or `a=0.1,b=0.2`."""
+    """Return the values (n,) of joints from `0.1`, for all of them, or `a=0.1,b=0.2`."""
     if "=" not in text and "," not in text:
         return np.full(len(joints), _number(text, option))
     values: dict[str, float] = {}
@@ -403,16 +402,16 @@ _FEET = (
 
 
 def feet_in(text: str) -> list[str | Foot]:
-    """Return feet from `l_foot,r_foot`, of which each may have a size: `l_foot=0.26x0.12`."""
-    found: list[str | Foot] = []
+    """Return feet from `l_foot,r_foot`; each may have a size: `l_foot=0.26x0.12`."""
+    feet: list[str | Foot] = []
     for part in text.split(","):
-        link, sized, size = (each.strip() for each in part.partition("="))
-        if not link or (sized and not size):
+        link, equals, size = (word.strip() for word in part.partition("="))
+        if not link or (equals and not size):
             raise ArgumentError(f"--feet takes links; got {text!r}.", advice=_FEET)
-        if not sized:
-            found.append(link)
+        if not equals:
+            feet.append(link)
         elif size == "point":
-            found.append(Foot(link, np.zeros((1, 3))))
+            feet.append(Foot(link, np.zeros((1, 3))))
         else:
             length, _, width = size.partition("x")
             try:
@@ -420,8 +419,8 @@ def feet_in(text: str) -> list[str | Foot]:
             except ValueError:
                 message = f"{size!r} of --feet {text!r} is not a size."
                 raise ArgumentError(message, advice=_FEET) from None
-            found.append(Foot.sole(link, *sides))
-    return found
+            feet.append(Foot.sole(link, *sides))
+    return feet
 
 
 def limits_of(
@@ -433,11 +432,11 @@ def limits_of(
         given: `0.5` for a share of all limits; `velocity=1.5` for all joints, `velocity=50%` for a
             share of the model's; `current=8` (A; also voltage and pwm) for joints whose efforts the
             model computes from currents; `joint.effort=40` and `joint.position=-1:0.5` for one
-            joint. Each may hold several, separated by commas; later ones win.
+            joint. Each may contain several, separated by commas; later ones win.
         bounded: As for `motion_limits`.
     """
     motors, scale = motors_of(model), 1.0
-    said = {quantity: dict[str, Any]() for quantity in _QUANTITIES}
+    values = {quantity: dict[str, Any]() for quantity in _QUANTITIES}
     shares = {quantity: dict[str, float]() for quantity in _QUANTITIES}
     for text in filter(None, ",".join(given or ()).split(",")):
         key, equals, value = (part.strip() for part in text.partition("="))
@@ -453,7 +452,7 @@ def limits_of(
             )
         if joint:
             _check_joint(joint, motors, "--limits")
-        signals = tuple(each.joint for each in model.effort_signals if each.kind == quantity)
+        signals = tuple(signal.joint for signal in model.effort_signals if signal.kind == quantity)
         joints, percent = signals if quantity in SIGNAL_KINDS else motors, value.endswith("%")
         if percent and quantity in SIGNAL_KINDS:
             raise ArgumentError(
@@ -467,18 +466,18 @@ def limits_of(
                 advice="Limit the effort, or use a model that was fitted to such a log.",
             )
         limit: Any = _range(value) if quantity == "position" else _amount(value)
-        for each in [joint] if joint else joints:
-            said[quantity].pop(each, None)
-            shares[quantity].pop(each, None)
-            (shares if percent else said)[quantity][each] = limit
-    signal_most = {j: most for kind in SIGNAL_KINDS for j, most in said.pop(kind).items()}
-    limits = motion_limits(model, bounded=bounded, **said)
-    for quantity in said.keys() - {"position"}:
+        for name in [joint] if joint else joints:
+            values[quantity].pop(name, None)
+            shares[quantity].pop(name, None)
+            (shares if percent else values)[quantity][name] = limit
+    largest_signals = {j: x for kind in SIGNAL_KINDS for j, x in values.pop(kind).items()}
+    limits = motion_limits(model, bounded=bounded, **values)
+    for quantity in values.keys() - {"position"}:
         share = np.array([shares[quantity].get(joint, 1.0) for joint in motors])
         limits = replace(limits, **{quantity: share * getattr(limits, quantity)})
-    # After the shares, which are of the model's limits: the lesser counts.
-    most = np.minimum(limits.effort, signal_limits(model, signal_most))
-    return replace(limits, effort=most).scaled(scale)
+    # After the shares, which refer to the model's limits; the smaller limit applies.
+    effort = np.minimum(limits.effort, signal_limits(model, largest_signals))
+    return replace(limits, effort=effort).scaled(scale)
 
 
 def _range(text: str) -> tuple[float, float]:

@@ -29,7 +29,7 @@ _DEMO_TIME = "This takes about 15 seconds; a minute the first time, as code is c
 
 
 def run_compare(options: Options) -> None:
-    """Compare a model with logs."""
+    """Run `geodrake compare`: compare a model with logs."""
     run(
         Command(
             "compare", "Comparing", lambda given: compare(given.model, given.logs, **given.settings)
@@ -39,7 +39,7 @@ def run_compare(options: Options) -> None:
 
 
 def run_diagnose(options: Options) -> None:
-    """Find the effect that a model lacks most."""
+    """Run `geodrake diagnose`: rank the effects that a model may lack."""
     run(
         Command(
             "diagnose",
@@ -51,7 +51,7 @@ def run_diagnose(options: Options) -> None:
 
 
 def run_add(options: AddOptions) -> None:
-    """Add an effect to a model."""
+    """Run `geodrake add`: add an effect to a model."""
     effect, where = options.addition
 
     def added(given: Input) -> Explained:
@@ -71,9 +71,9 @@ def run_add(options: AddOptions) -> None:
 
 
 def run_explain(options: ExplainOptions | Options, promise: str = "") -> None:
-    """Explain logs, with formulas for the rest if requested."""
+    """Run `geodrake explain`: explain logs, with formulas for the remaining error if requested."""
     drafts = getattr(options, "draft_effect", None) is not None
-    every_step = any((options.details, options.report, options.json))  # which show it
+    every_step = any((options.details, options.report, options.json))  # these show every step
     command = Command(
         "explain",
         "Explaining",
@@ -91,7 +91,7 @@ def run_explain(options: ExplainOptions | Options, promise: str = "") -> None:
 
 
 def run_demo(options: DemoOptions) -> None:
-    """Explain the log that comes with the package."""
+    """Run `geodrake demo`: explain the log that comes with the package."""
     folder = files("geodrake") / "demo"
     with as_file(folder / "demo.urdf") as model, as_file(folder / "demo.csv") as data:
         run_explain(Options(model=model, logs=[data], **vars(options)), _DEMO_TIME)
@@ -123,11 +123,11 @@ def _explained(given: Input, *, every_step: bool) -> Explained:
 
 def _motions(given: Input, found: Explanation, *, every_step: bool) -> tuple[Rollout, ...] | None:
     """Return motions under commands before, between and after the steps; None without commands."""
-    from geodrake.control.rollout import commanded_motions  # which no comparison needs
+    from geodrake.control.rollout import commanded_motions  # not needed by other commands
 
     steps = found.steps if every_step else ()
     between = [step.model for step in steps if step.model is not None]
-    for models in (between, []):  # an effect on the way may be one that no simulation has
-        with suppress(LogError, ModelError):  # as where nothing moves for as long as a window
+    for models in (between, []):  # an intermediate effect may not support simulation
+        with suppress(LogError, ModelError):  # for example without motion as long as a window
             return commanded_motions(given.model, found.model, given.logs, between=models)
     return None

@@ -19,7 +19,7 @@ from geodrake.model.robot_model import RobotModel
 
 
 def run_export(options: ExportOptions) -> None:
-    """Write a model for a simulator."""
+    """Run `geodrake export`: write a model for another program."""
     options = options.with_folder
     form, folder = export_format(options.to), Path(options.folder or "")
 
@@ -49,10 +49,10 @@ def run_export(options: ExportOptions) -> None:
 
 
 def run_check(options: CheckOptions) -> None:
-    """Compare a model's dynamics with MultibodyPlant's."""
+    """Run `geodrake check`: compare a model's dynamics with MultibodyPlant's."""
     command = Command(
         "check",
-        "Comparing with MultibodyPlant, and with a program that reads the file itself",
+        "Comparing with MultibodyPlant and an independent reader of the file",
         lambda given: check_dynamics(given.model, samples=options.samples, seed=options.seed),
         code=lambda found: 0 if found.holds else INTERNAL_ERROR,
     )

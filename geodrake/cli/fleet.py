@@ -13,7 +13,7 @@ from geodrake.boundary.arguments import number
 from geodrake.boundary.version import version
 from geodrake.boundary.whole_files import Content, write_together
 from geodrake.cli.command import STDOUT, USUAL, Command, Input, check_outputs, run
-from geodrake.cli.input_options import tell_repairs
+from geodrake.cli.input_options import report_repairs
 from geodrake.cli.options import FleetOptions
 from geodrake.cli.progress import progress
 from geodrake.cli.streams import printing, results, warn
@@ -31,11 +31,11 @@ from geodrake.report.views import numbers_of, page_of
 NEW_FINDING = 3  # exit code of `--once` if there is a new finding
 
 _RESULT, _SOME_FILE = "fleet.json", "a model file"
-_SHORTEST, _LONGEST = 0.1, 1e6  # s between two looks
+_SHORTEST, _LONGEST = 0.1, 1e6  # polling interval, s
 
 
 def run_fleet_command(options: FleetOptions) -> None:
-    """Evaluate a fleet once, or repeatedly."""
+    """Run `geodrake fleet`: evaluate a fleet once, or repeatedly."""
     fleet = read_fleet(options.fleet)
     work = FleetWork(options.workers, options.scheduler, options.false_alarms)
     number(options.every, "--every", lower=_SHORTEST, upper=_LONGEST)
@@ -53,7 +53,7 @@ def run_fleet_command(options: FleetOptions) -> None:
 
     def looked(given: Input) -> FleetResult:
         result, digests = run_fleet(fleet, work, told=given.progress, said=given.progress.history)
-        tell_repairs(_SOME_FILE, digests.repairs, given.progress)
+        report_repairs(_SOME_FILE, digests.repairs, given.progress)
         return result
 
     def write(found: FleetResult, contents: Mapping[Path, Content]) -> tuple[Path, ...]:
@@ -77,8 +77,8 @@ def _own_contents(fleet: Fleet, result: FleetResult) -> dict[Path, Content]:
 def _watch(fleet: Fleet, work: FleetWork, options: FleetOptions) -> None:
     """Process new logs once, or repeatedly until the command is stopped.
 
-    An error in the first pass is a mistake in the fleet file. Later errors, such as folders or
-    schedulers that do not respond, may be temporary.
+    An error in the first pass is treated as a mistake in the fleet file. Later errors, such as
+    folders or schedulers that do not respond, may be temporary.
     """
     seen: FleetDigests | None = None
     while True:
@@ -98,13 +98,13 @@ def _watch(fleet: Fleet, work: FleetWork, options: FleetOptions) -> None:
 def _look(
     fleet: Fleet, work: FleetWork, options: FleetOptions, seen: FleetDigests | None
 ) -> tuple[FleetDigests, bool]:
-    """Process new logs and print new findings; statistics are updated only if something changed."""
+    """Process new logs and print new findings; update statistics only if something changed."""
     with progress(f"Reading {fleet.path.name}", quiet=options.quiet) as update:
         result, digests = look_at_fleet(fleet, work, seen, told=update, said=update.history)
         if result is None:
             return digests, False
         if seen is None:
-            tell_repairs(_SOME_FILE, digests.repairs, update)
+            report_repairs(_SOME_FILE, digests.repairs, update)
     contents = _own_contents(fleet, result)
     if options.json is not None:
         contents[options.json] = _numbers(result)

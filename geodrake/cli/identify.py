@@ -23,7 +23,7 @@ from geodrake.model.robot_model import RobotModel
 
 
 def run_identify(options: IdentifyOptions) -> None:
-    """Fit a model's inertias and effects."""
+    """Run `geodrake identify`: fit a model's inertias and effects."""
     files, names = split_effects(options.effects)
     settings = IdentificationSettings(
         regularizer=options.regularizer,
@@ -72,8 +72,8 @@ def named_effects(
 ) -> tuple[Effect, ...]:
     """Return effects by name, at a place (`payload@hand`, `coupled_friction@a+b`) or everywhere.
 
-    Everywhere means all joints with one degree of freedom, or all pairs of neighbouring joints,
-    that do not have the effect yet.
+    "Everywhere" means all joints with one degree of freedom, or all pairs of neighbouring joints,
+    without the effect.
     """
     taken = {(fitted.effect.name, fitted.effect.where) for fitted in model.effects}
     found: dict[Effect, None] = {}

@@ -47,7 +47,7 @@ _URDF = """<?xml version="1.0"?>
 
 @dataclass(frozen=True, kw_only=True)
 class ReadingOptions:
-    """How logs are read where their column names are not enough.
+    """Options for logs whose column names are not enough.
 
     Logs:
         mapping (FILE.yaml): Mapping of columns to joints and quantities. For unknown column names,
@@ -86,7 +86,7 @@ class ReadingOptions:
 
     @property
     def reading(self) -> Reading:
-        """How logs are read."""
+        """The reading options of logs."""
         from geodrake.logs.files import Reading, read_mapping
 
         if self.columns is not None and self.mapping is not None:
@@ -115,62 +115,62 @@ class ReadingOptions:
         """Joint -> gain, and its deviation if known."""
         from geodrake.logs.files.reading import parsed_gain
 
-        said = pairs("--gain", self.gain or (), "elbow_joint=13.2")
-        return {joint: parsed_gain(text, f"--gain of {joint!r}") for joint, text in said.items()}
+        texts = pairs("--gain", self.gain or (), "elbow_joint=13.2")
+        return {joint: parsed_gain(text, f"--gain of {joint!r}") for joint, text in texts.items()}
 
     @property
     def _motors(self) -> dict[str, Motor]:
-        """Joint -> motor; that of all joints by the name ""."""
+        """Joint -> motor, "" for all joints."""
         from geodrake.logs.motors import known_motors, motor_named
 
-        said = of_all_and_named("--motor", self.motor or (), "elbow_flex=sts3215")
-        if not (said or self.motors):
+        names = of_all_and_named("--motor", self.motor or (), "elbow_flex=sts3215")
+        if not (names or self.motors):
             return {}
         table = known_motors(self.motors)
-        return {joint: motor_named(name, table) for joint, name in said.items()}
+        return {joint: motor_named(name, table) for joint, name in names.items()}
 
     @property
     def _kinds(self) -> dict[str, str]:
-        """Joint -> kind; that of all joints by the name ""."""
-        said = of_all_and_named("--kind", self.kind or (), "elbow_joint=current")
+        """Joint -> kind, "" for all joints."""
+        kinds = of_all_and_named("--kind", self.kind or (), "elbow_joint=current")
         names = (part.strip() for part in ",".join(self.passive or ()).split(","))
         passive = dict.fromkeys(filter(None, names), "passive")
-        if twice := sorted(said.keys() & passive.keys()):
+        if conflicts := sorted(kinds.keys() & passive.keys()):
             raise ArgumentError(
-                f"--passive says that {twice[0]!r} has no motor, and --kind that it is "
-                f"{said[twice[0]]}.",
+                f"--passive says that {conflicts[0]!r} has no motor, but --kind says that it is "
+                f"{kinds[conflicts[0]]}.",
                 advice="Omit one of them.",
             )
-        return said | passive
+        return kinds | passive
 
 
 def of_all_and_named(option: str, given: Sequence[str], example: str) -> dict[str, str]:
-    """Return the values of an option for all joints, by the name "", and for single joints."""
+    """Return joint -> value of an option, "" for all joints."""
     parts = [part.strip() for part in ",".join(given).split(",")]
-    of_all = [part for part in parts if part and "=" not in part]
-    if len(of_all) > 1:
+    common = [part for part in parts if part and "=" not in part]
+    if len(common) > 1:
         form = f"JOINT={example.rpartition('=')[2].upper()}"
         raise ArgumentError(
-            f"{option} has several values for all joints: {' and '.join(of_all)}.",
+            f"{option} has several values for all joints: {' and '.join(common)}.",
             advice=f"Write {form}.",
         )
     named = pairs(option, [part for part in parts if "=" in part], example)
-    return {"": of_all[0], **named} if of_all else named
+    return {"": common[0], **named} if common else named
 
 
 def pairs(option: str, given: Sequence[str], example: str) -> dict[str, str]:
     """Return name -> value of an option; each name occurs once."""
-    found: dict[str, str] = {}
+    values: dict[str, str] = {}
     for part in filter(None, ",".join(given).split(",")):
         name, sign, value = (word.strip() for word in part.rpartition("="))
         if not (name and sign and value):
             raise ArgumentError(
                 f"{option} got {part!r}; expected NAME=VALUE.", advice=f"Write {option} {example}."
             )
-        if name in found:
+        if name in values:
             raise ArgumentError(f"{option} has {name!r} twice.", advice="Give it once.")
-        found[name] = value
-    return found
+        values[name] = value
+    return values
 
 
 def number_in(text: str, option: str, advice: str) -> float:
@@ -182,18 +182,18 @@ def number_in(text: str, option: str, advice: str) -> float:
         raise ArgumentError(message, advice=advice) from None
 
 
-_CALLED = {"modes": "harmonics", "most": "windows", "residual_ratio": "residual_bound"}
-"""Argument of the library -> the option that it comes from, where that has another name."""
+_RENAMED = {"modes": "harmonics", "most": "windows", "residual_ratio": "residual_bound"}
+"""Argument of the library -> option with a different name."""
 
 
 @contextmanager
 def naming_options(options: Collection[str]) -> Iterator[None]:
-    """Have errors about an argument of the library name the option that it comes from."""
+    """Replace the names of arguments in errors by the corresponding options."""
     try:
         yield
     except ArgumentError as error:
         name = str(error.evidence.get("name", ""))
-        option = _CALLED.get(name, name)
+        option = _RENAMED.get(name, name)
         if option not in options or not error.problem.startswith(f"{name} "):
             raise
         problem = f"--{option.replace('_', '-')}{error.problem.removeprefix(name)}"
@@ -201,16 +201,16 @@ def naming_options(options: Collection[str]) -> Iterator[None]:
 
 
 def listed(given: Sequence[Path] | None) -> list[Path]:
-    """Return the parts, between commas, of an option's values; names of files may have commas."""
-    found = []
+    """Return the comma-separated parts of an option's values; file names may contain commas."""
+    paths = []
     for value in given or ():
         parts = [value] if value.is_file() else map(str.strip, str(value).split(","))
-        found += [Path(part) for part in parts if part]
-    return found
+        paths += [Path(part) for part in parts if part]
+    return paths
 
 
 def split_effects(given: Sequence[Path] | None) -> tuple[list[Path], list[str]]:
-    """Return the files and the names among the values of --effects."""
+    """Return the files and names among the values of --effects."""
     parts = listed(given)
     names = [str(part) for part in parts if part.suffix != ".py"]
     return [part for part in parts if part.suffix == ".py"], names
@@ -220,7 +220,7 @@ def split_effects(given: Sequence[Path] | None) -> tuple[list[Path], list[str]]:
 def proposing(logs: Sequence[Path]) -> Iterator[None]:
     """Write a draft mapping for a log whose columns are unknown, and add its path to the error.
 
-    It is written into the working folder, unless it exists. Joined files share one.
+    The draft goes to the working folder, unless it exists there. Joined files share one draft.
     """
     try:
         yield
@@ -230,23 +230,22 @@ def proposing(logs: Sequence[Path]) -> Iterator[None]:
             raise
         from geodrake.logs.files.packed_files import log_name
 
-        own = Path(path)
-        first = str(next((log for log in logs if log.name == own.name), own)).split("+")[0]
-        target = Path(f"{log_name(Path(first))}.mapping.yaml")
-        words = f"A draft mapping is in {target}: edit it, and pass it with --mapping."
+        log = next((log for log in logs if log.name == Path(path).name), path)
+        target = Path(f"{log_name(Path(str(log).split('+')[0]))}.mapping.yaml")
+        hint = f"A draft mapping is in {target}: edit it, and pass it with --mapping."
         if target.exists() or target.is_symlink():
-            words = f"Edit {target}, which exists, and pass it with --mapping."
+            hint = f"Edit the existing {target}, and pass it with --mapping."
         else:
             try:
                 write_whole(target, proposal)
             except OutputError:
-                words = "Or map the columns with --mapping."
-        raise LogError(error.problem, advice=f"{error.advice} {words}", **error.evidence) from error
+                hint = "Or map the columns with --mapping."
+        raise LogError(error.problem, advice=f"{error.advice} {hint}", **error.evidence) from error
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelOptions:
-    """How a model file is read.
+    """Options for reading a model file.
 
     Models:
         lock (JOINT=VALUE): Fix a joint at a position, rad or m. Joints that no log has are fixed
@@ -273,7 +272,7 @@ class ModelOptions:
 
     @property
     def given(self) -> Given:
-        """Return how the file is read."""
+        """The reading options of the model file."""
         from geodrake.model import Given
 
         return Given.of_words(
@@ -282,25 +281,25 @@ class ModelOptions:
 
     @property
     def transmission_files(self) -> list[Path]:
-        """Return the transmission file, which no output may overwrite."""
-        words = self.transmission
-        return [Path(words)] if words is not None and Path(words).is_file() else []
+        """The transmission file, if any, which no output may overwrite."""
+        name = self.transmission
+        return [Path(name)] if name is not None and Path(name).is_file() else []
 
     @property
     def held(self) -> dict[str, float]:
         """Joint -> position at which it is fixed, rad or m."""
         from geodrake.boundary.arguments import number
 
-        said = pairs("--lock", self.lock or (), "finger=0.04, in rad or m")
+        texts = pairs("--lock", self.lock or (), "finger=0.04, in rad or m")
         advice = "Write --lock JOINT=VALUE, in rad or m, such as --lock finger=0.04."
         return {
-            joint: number(number_in(value, option := f"--lock of {joint!r}", advice), option)
-            for joint, value in said.items()
+            joint: number(number_in(text, option := f"--lock of {joint!r}", advice), option)
+            for joint, text in texts.items()
         }
 
 
 def read_model(
-    path: Path, options: ModelOptions, told: Activity, extra: Sequence[type[Effect]] = ()
+    path: Path, options: ModelOptions, activity: Activity, extra: Sequence[type[Effect]] = ()
 ) -> RobotModel:
     """Read the model of a command, and report repairs of its file."""
     from geodrake.model import load_model
@@ -308,7 +307,7 @@ def read_model(
 
     download = planned_download(path)
     if download:
-        told.warning(download)
+        activity.warning(download)
     model = load_model(
         path,
         floating=options.floating,
@@ -317,21 +316,21 @@ def read_model(
         given=options.given,
         transmission=options.transmission,
     )
-    tell_repairs(model.path.name, model.repairs, told)
+    report_repairs(model.path.name, model.repairs, activity)
     return model
 
 
-def tell_repairs(file: str, repairs: Sequence[str], told: Activity) -> None:
+def report_repairs(file: str, repairs: Sequence[str], activity: Activity) -> None:
     """Report the first repairs of a model file, and the number of the others."""
     more = len(repairs) - _MOST_REPAIRS
-    rest = [f"{more} more of its parts were replaced or left out."] if more > 0 else []
+    rest = [f"{more} more of its parts were replaced or omitted."] if more > 0 else []
     for repair in (*repairs[:_MOST_REPAIRS], *rest):
-        told.warning(f"Warning: {file} was repaired. {repair}")
+        activity.warning(f"Warning: {file} was repaired. {repair}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class AxisOptions(ReadingOptions):
-    """A single axis in place of a model file.
+    """Options to write a single-axis model.
 
     Models:
         axis (prismatic|revolute): Write a new MODEL (.urdf): one horizontal axis with --mass.

@@ -1,4 +1,4 @@
-"""Handling of Ctrl-C, SIGTERM and SIGHUP: each ends a command with one word."""
+"""Handling of Ctrl-C, SIGTERM and SIGHUP, which end a command with a one-word message."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ _AGAIN = 0.05  # s after which an interrupt that could not be raised is raised a
 
 
 class Interruption(BaseException):
-    """A signal asks the command to end; not an `Exception`, so that no error handler catches it."""
+    """A request to end the command; no `Exception`, so that error handlers do not catch it."""
 
 
 class FirstInterrupt(Interruption, StopSearch):
-    """The first Ctrl-C, at which a search returns what it has found."""
+    """The first Ctrl-C, at which a search returns its results so far."""
 
 
 class _Handler:
-    """Raises an interruption, and remembers that it did."""
+    """A signal handler that raises an interruption and stores the signal."""
 
     def __init__(self) -> None:
-        self.arrived: signal.Signals | None = None  # the signal that came last; None before any
+        self.arrived: signal.Signals | None = None  # the last signal, if any
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         del frame
@@ -43,7 +43,7 @@ class _Handler:
         main = threading.main_thread().ident
         again = threading.Timer(_AGAIN, signal.pthread_kill, [main, self.arrived])
         if issubclass(lost.exc_type, FirstInterrupt):
-            self.arrived = None  # nobody has seen it yet
+            self.arrived = None  # it has not been handled yet
         again.daemon = True
         again.start()
 
@@ -56,9 +56,9 @@ def was_interrupted() -> bool:
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """End the process with a word on stderr and exit code 128 + the signal's number, as shells do.
+    """End the process at a signal with one word on stderr and exit code 128 + signal number.
 
-    Signals that the process ignores, as under `nohup`, stay ignored.
+    Signals that the process ignores, for example under `nohup`, remain ignored.
     """
     handler = _Handler()
     numbers = [n for n in _WORDS if signal.getsignal(n) is not signal.SIG_IGN]
@@ -76,7 +76,7 @@ def interruptible() -> Iterator[None]:
             print(_WORDS[arrived], file=sys.stderr, flush=True)
         raise SystemExit(128 + arrived) from None
     finally:
-        _end_quietly(numbers)  # what is left takes no time and has nothing to lose
+        _end_quietly(numbers)  # nothing remains to be interrupted
 
 
 def _end_quietly(numbers: list[signal.Signals]) -> None:

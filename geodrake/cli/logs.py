@@ -35,7 +35,7 @@ SOME_FAILED = 1  # exit code if some logs could not be digested
 
 
 def run_log(options: LogCommandOptions) -> None:
-    """Show how logs are read."""
+    """Run `geodrake log`: show how logs are read."""
     outputs = {
         "convert": Output(
             "log",
@@ -47,10 +47,10 @@ def run_log(options: LogCommandOptions) -> None:
             "mapping", (".yaml", ".yml"), lambda found, path: _mapping(found, options)
         ),
     }
-    asked = [name.replace("_", "-") for name in files_of(outputs, options)]
-    if asked and len(options.logs) > 1:
+    requested = [name.replace("_", "-") for name in files_of(outputs, options)]
+    if requested and len(options.logs) > 1:
         raise ArgumentError(
-            f"--{asked[0]} takes one log; {len(options.logs)} are given.",
+            f"--{requested[0]} takes one log; {len(options.logs)} are given.",
             advice="Run the command once for each log.",
         )
     last = ""
@@ -71,28 +71,28 @@ def run_log(options: LogCommandOptions) -> None:
 def _inspected(options: LogCommandOptions, given: Input) -> InspectedLogs:
     model: RobotModel | None = given.model
     joints = None
-    if model is not None:  # a free base has no columns by the names of its joints
+    if model is not None:  # columns do not have the names of the joints of a free base
         joints = tuple(j for j in model.known_joints if j not in model.base_joints)
     reading = options.reading if model is None else reading_for(model, options.reading)
     found = [inspect_log(log, joints=joints, partial=True, reading=reading) for log in options.logs]
-    names, logs = [*map(file_names, options.logs)], [each.log for each in found]
+    names, logs = [*map(file_names, options.logs)], [entry.log for entry in found]
     if model is None:
         return InspectedLogs([*zip(names, found, strict=True)])
     columns, unchecked, beyond = tuple[ColumnFinding, ...](), "", list[str]()
     try:
-        own = model_of_logs(model, logs)
-        columns = found_columns(own, logs, {})
-        if not any(position_unit_hint(each.log) in each.first for each in found):
-            beyond = _beyond_limits(own, logs)
+        matched = model_of_logs(model, logs)
+        columns = found_columns(matched, logs, {})
+        if not any(position_unit_hint(entry.log) in entry.first for entry in found):
+            beyond = _beyond_limits(matched, logs)
     except GeodrakeError as error:
         unchecked = error.problem
     if any(f.kind in ("position_unit", "position_alone_unit") for f in columns):
-        # This says best that the unit of positions is in doubt.
+        # This finding supersedes other hints on the unit of positions.
         beyond = []
-        for k, each in enumerate(found):
-            said = position_unit_hint(each.log)
-            first, notes = (tuple(w for w in ws if w != said) for ws in (each.first, each.notes))
-            found[k] = replace(each, first=first, notes=notes)
+        for k, entry in enumerate(found):
+            hint = position_unit_hint(entry.log)
+            first, notes = (tuple(w for w in ws if w != hint) for ws in (entry.first, entry.notes))
+            found[k] = replace(entry, first=first, notes=notes)
     named = [*zip(names, found, strict=True)]
     return InspectedLogs(named, columns, unchecked, model.repairs, beyond)
 
@@ -112,7 +112,7 @@ def _beyond_limits(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
 
 
 def _mapping(found: InspectedLogs, options: LogCommandOptions) -> str:
-    """Return the mapping with which the log was read, corrected."""
+    """Return the corrected mapping of the log's columns."""
     (_, log), *_ = found.logs
     columns = corrected_columns(log.columns, found.columns)
     return mapping_text(options.logs[0], log, columns, options.reading.gain_deviations)
@@ -128,7 +128,7 @@ def _preview(found: InspectedLogs, path: Path) -> bytes:
 
 
 def run_digest(options: DigestOptions) -> None:
-    """Digest logs; the exit code is 1 if any log fails."""
+    """Run `geodrake digest`; the exit code is 1 if any log fails."""
     date = None if options.date is None else date_seconds(options.date)
 
     def digested(given: Input) -> DigestRun:

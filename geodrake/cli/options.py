@@ -69,7 +69,7 @@ class LogOptions(AxisOptions, ModelOptions, CommonOptions):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """How logs are prepared, as keyword arguments."""
+        """Settings of log preparation, as keyword arguments."""
         names = ("bandwidth", "blocks", "hold_resting")
         return {name: getattr(self, name) for name in names if hasattr(self, name)}
 
@@ -303,7 +303,7 @@ class IdentifyOptions(_NamedEffects, Options):
 
     @property
     def hold_resting(self) -> bool:
-        """Whether joints that hardly move are held; not with a total mass, which has all bodies."""
+        """Whether joints that hardly move are held; never with a known total mass."""
         return super().hold_resting and self.total_mass is None
 
 
@@ -532,9 +532,9 @@ class ExportOptions(ReadingOptions, ModelOptions, CommonOptions):
 
     @property
     def with_folder(self) -> ExportOptions:
-        """The options with their folder, whether an argument or an option."""
+        """The options with the folder from the last argument or --to-dir."""
         if self.to_dir is not None:
-            last = [] if self.folder is None else [self.folder]  # which is a log then
+            last = [] if self.folder is None else [self.folder]  # a log in this case
             return replace(self, folder=self.to_dir, to_dir=None, logs=[*(self.logs or ()), *last])
         if self.folder is None:
             raise ArgumentError(
@@ -575,7 +575,7 @@ class FleetOptions(CommonOptions):
     once: bool = False
 
 
-ALL_OPTIONS = "geodrake.all_options"  # key of a context's `meta`: show advanced options as well
+ALL_OPTIONS = "geodrake.all_options"  # key in a context's `meta` to show advanced options
 _ADVANCED, _HELP_ALL = "Advanced: ", "help_all"
 _HELP_WORDS = "Show all options, including advanced ones, and exit."
 _ARGUMENTS = ("effect", "model", "logs", "folder", "fleet")
@@ -587,14 +587,13 @@ _ENTRY = re.compile(r"(?P<name>\w+)(?: \((?P<metavar>[^)]*)\))?: (?P<help>.*)")
 
 
 def command_of(place: str, options: type[Any]) -> Callable[..., None]:
-    """Return a command whose parameters are the fields of a class of options.
+    """Return a command whose parameters are the fields of an options class.
 
-    Its help, and the metavariable and help of each option, are read from the class's docstring.
-    Errors of the command become messages and exit codes. Advanced options are shown by --help-all
-    only.
+    The help of the command and of each option is read from the docstring of the class. Errors of
+    the command become messages and exit codes.
 
     Args:
-        place: Module and name of the function that it runs, which is imported when it is called.
+        place: Module and name of the function to run, imported when the command is called.
     """
     hints, texts = get_type_hints(options), _documented(options)
     kinds = {field.name: field for field in fields(options)}
@@ -606,13 +605,13 @@ def command_of(place: str, options: type[Any]) -> Callable[..., None]:
     module, _, function = place.partition(".")
 
     def command(**values: Any) -> None:
-        del values[_HELP_ALL]  # which its callback has handled
+        del values[_HELP_ALL]  # handled by its callback
         files, _ = split_effects(values.get("effects"))
         with guarded(debug=values["debug"], effect_files=files), naming_options(kinds):
             getattr(import_module(f"geodrake.cli.{module}"), function)(options(**values))
 
     command.__doc__, *_ = _sections(options)
-    command.__annotations__ = {each.name: each.annotation for each in parameters}
+    command.__annotations__ = {p.name: p.annotation for p in parameters}
     command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     return command
 
@@ -620,8 +619,8 @@ def command_of(place: str, options: type[Any]) -> Callable[..., None]:
 def examples_of(options: type[Any]) -> list[str]:
     """Return example arguments of a command."""
     _, *sections = _sections(options)
-    found = dict(zip(sections[::2], sections[1::2], strict=True)).get("Examples", "")
-    return [line.strip() for line in found.strip().splitlines()]
+    text = dict(zip(sections[::2], sections[1::2], strict=True)).get("Examples", "")
+    return [line.strip() for line in text.strip().splitlines()]
 
 
 def _sections(options: type[Any]) -> list[str]:
@@ -630,18 +629,18 @@ def _sections(options: type[Any]) -> list[str]:
 
 
 def is_advanced(parameter: Any) -> bool:
-    """Return whether a parameter of a command is shown by --help-all only."""
+    """Return whether a parameter of a command is only shown by --help-all."""
     return (getattr(parameter, "rich_help_panel", None) or "").startswith(_ADVANCED)
 
 
 def path(text: str) -> Path:
-    """Return the path of a model; ./ur5e stays a path, which `Path` would make the name ur5e."""
-    found = Path(text)
-    if str(found) == text:
-        return found
+    """Return the path of a model; ./ur5e stays a path, which `Path` would turn into a name."""
+    normalized = Path(text)
+    if str(normalized) == text:
+        return normalized
     from geodrake.robot.files.named_robots import whole_if_folder
 
-    return whole_if_folder(text, found)
+    return whole_if_folder(text, normalized)
 
 
 def _documented(options: type[Any]) -> dict[str, tuple[str | None, str, str | None]]:
@@ -650,13 +649,13 @@ def _documented(options: type[Any]) -> dict[str, tuple[str | None, str, str | No
     The panel of an option is the title of its section, unless that is "Attributes".
     """
     found: dict[str, tuple[str | None, str, str | None]] = {}
-    for each in reversed(options.__mro__):
-        _, *sections = _sections(each)
+    for base in reversed(options.__mro__):
+        _, *sections = _sections(base)
         for title, text in zip(sections[::2], sections[1::2], strict=True):
             for entry in re.split(r"\n(?=    \w)", text):
                 if match := _ENTRY.match(" ".join(entry.split())):
                     name, metavar, help_text = match.group("name", "metavar", "help")
-                    is_rare = name in _RARE or metavar == "FILE.py"  # code of the user's own
+                    is_rare = name in _RARE or metavar == "FILE.py"  # user code
                     panel = "rarely needed" if is_rare else None
                     panel = panel if title == "Attributes" else title.lower()
                     found[name] = metavar, help_text, panel
@@ -666,7 +665,7 @@ def _documented(options: type[Any]) -> dict[str, tuple[str | None, str, str | No
 def _parameter(
     field: Field[Any], kind: Any, metavar: str | None, help_text: str, panel: str | None
 ) -> inspect.Parameter:
-    """Return a parameter of a command; flags that are off by default have no negation."""
+    """Return a parameter of a command. Flags that are off by default have no negation."""
     name, default = field.name, field.default
     common: Any = {"metavar": metavar, "help": help_text}
     common["rich_help_panel"] = panel and f"{_ADVANCED}{panel}"

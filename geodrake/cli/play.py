@@ -29,7 +29,7 @@ _LARGEST_PORT = 65535
 
 
 def run_play(options: PlayOptions) -> None:
-    """Replay logs on the robot, in files or on a local port."""
+    """Run `geodrake play`: replay logs on the robot, in files or on a local port."""
     positive(options.speed, "--speed")
     positive(options.seconds, "--seconds")
     if options.ghost is not None:
@@ -49,7 +49,7 @@ def run_play(options: PlayOptions) -> None:
         before = None
         if options.before is not None:
             before = other_model(options.before, given)
-        elif is_saved_model(options.model):  # compared with the file behind it
+        elif is_saved_model(options.model):  # compare with its base file
             before = read_again(given.model)
         return play_back(
             given.model,
@@ -91,7 +91,7 @@ def run_play(options: PlayOptions) -> None:
 
 
 class PageServer(ThreadingHTTPServer):
-    """A server of one page."""
+    """A server of a single page."""
 
     daemon_threads = True
     page: bytes = b""  # UTF-8
@@ -107,13 +107,13 @@ class _PageHandler(BaseHTTPRequestHandler):
     timeout = 20.0  # s without a request after which a client is disconnected
 
     def do_GET(self) -> None:
-        """Answer with the page, and with 404 to any other path."""
+        """Send the page, or 404 for any other path."""
         hosts = self.headers.get_all("Host", [])
         try:
             is_local = [urlsplit(f"//{host}").hostname in _LOCAL for host in hosts] == [True]
         except ValueError:
             is_local = False
-        if not is_local:  # against DNS rebinding
+        if not is_local:  # prevents DNS rebinding
             self.send_error(HTTPStatus.FORBIDDEN, explain="This page is for localhost only.")
             return
         found = self.path.partition("?")[0] in ("/", "/index.html")
@@ -128,7 +128,7 @@ class _PageHandler(BaseHTTPRequestHandler):
     do_HEAD = do_GET  # noqa: N815
 
     def version_string(self) -> str:
-        """Name the server, without versions."""
+        """Return the name of the server without versions."""
         return "geodrake"
 
     def log_message(self, *words: object) -> None:
@@ -136,7 +136,7 @@ class _PageHandler(BaseHTTPRequestHandler):
 
 
 def page_server(port: int) -> PageServer:
-    """Return a server bound to a port; raise if the port is not free."""
+    """Return a server bound to a port, which must be free."""
     if not 0 <= port <= _LARGEST_PORT:
         raise ArgumentError(
             f"--live {port} is not a port.",

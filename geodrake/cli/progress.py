@@ -1,7 +1,7 @@
 """Progress on stderr: a bar in a terminal, plain lines in a pipe.
 
-Findings stay as lines above the bar. In a pipe there are only such lines and, after long silence,
-the current activity, without control characters.
+Findings stay as lines above the bar. A pipe gets only such lines and, after long silence, the
+current activity, without control characters.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ if TYPE_CHECKING:
 
 _COMPILING = "Compiling (only once, some ten seconds)"
 STOPPING = "Interrupted: keeping what was found; Ctrl-C again stops at once"
-"""Printed when a search that has found something is stopped."""
+"""Printed when a search with intermediate results is stopped."""
 
 _SILENT, _PAUSE = 5.0, 1.0  # s of silence before a line in a pipe, and between checks
-_LEAST_SHARE = 0.05  # from which on the remaining time is estimated
+_LEAST_SHARE = 0.05  # completed share from which the remaining time is estimated
 _WIDTH = 44
 
 
 @dataclass(kw_only=True)
 class Activity:
-    """Shows the current activity; this base class shows warnings only."""
+    """A display of the current activity; this base class shows only warnings."""
 
     begin: float = field(default_factory=time.monotonic)
-    last: tuple[str, float | None] = ("", None)  # description and share that were shown last
+    last: tuple[str, float | None] = ("", None)  # last description and share
 
     def __call__(self, words: str, share: float | None = None) -> None:
         """Show the current activity and its progress; None if unknown."""
@@ -61,17 +61,17 @@ class Activity:
 
 @dataclass(kw_only=True)
 class _Lines(Activity):
-    """Plain lines on stderr, which repeat the current activity after long silence."""
+    """Plain lines on stderr, with the current activity after long silence."""
 
-    told: float = field(default_factory=time.monotonic)
+    printed: float = field(default_factory=time.monotonic)  # time of the last line
 
     def __call__(self, words: str, share: float | None = None) -> None:
         super().__call__(words, share)
-        if time.monotonic() - self.told >= _SILENT:
+        if time.monotonic() - self.printed >= _SILENT:
             self.history(f"{words} ({self.time(share)})")
 
     def history(self, line: str) -> None:
-        self.told = time.monotonic()
+        self.printed = time.monotonic()
         warn(line)
 
     warning = history
@@ -79,10 +79,10 @@ class _Lines(Activity):
     @contextmanager
     def repeating(self) -> Iterator[None]:
         """Print the current activity at intervals."""
-        over = threading.Event()
+        finished = threading.Event()
 
         def repeat() -> None:
-            while not over.wait(_PAUSE):
+            while not finished.wait(_PAUSE):
                 self(*self.last)
 
         thread = threading.Thread(target=repeat, daemon=True)
@@ -90,7 +90,7 @@ class _Lines(Activity):
         try:
             yield
         finally:
-            over.set()
+            finished.set()
             thread.join()
 
 
@@ -159,7 +159,7 @@ def step_teller(activity: Activity) -> Callable[[FoundStep], None]:
         if step.is_last:
             activity.history(STOPPING)
             return
-        from geodrake.report.words import found_words  # which is slow to import
+        from geodrake.report.words import found_words  # slow to import
 
         count += 1
         activity.history(f"{count}  {found_words(step)}")

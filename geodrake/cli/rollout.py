@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from geodrake.cli.command import Command, Input, Output, run
-from geodrake.cli.input_options import tell_repairs
+from geodrake.cli.input_options import report_repairs
 from geodrake.cli.options import RolloutOptions
 from geodrake.control.rollout import Rollout, RolloutFit, fit_rollouts, roll_out
 from geodrake.control.rollout.motion_search import rollout_values
@@ -20,7 +20,7 @@ from geodrake.robot.files.xacro_file import is_xacro
 
 
 def run_rollout(options: RolloutOptions) -> None:
-    """Simulate a model under logged efforts or commands, or fit its soft joints and play."""
+    """Run `geodrake rollout`: simulate a model, or fit its elastic joints and backlash."""
     if options.save is not None and not options.fit:
         raise ArgumentError(
             f"--save {options.save} needs --fit: a rollout alone does not change the model.",
@@ -31,7 +31,7 @@ def run_rollout(options: RolloutOptions) -> None:
             "--fit and --before exclude each other: a fit is compared with the given model.",
             advice="Fit and save the model first, then run rollout with --before.",
         )
-    how: dict[str, Any] = {
+    settings: dict[str, Any] = {
         "horizon": options.horizon,
         "most": options.windows,
         "commands": options.commands,
@@ -39,14 +39,14 @@ def run_rollout(options: RolloutOptions) -> None:
 
     def fitted(given: Input) -> RolloutFit:
         return fit_rollouts(
-            given.model, given.logs, **how, **given.settings, progress=given.progress
+            given.model, given.logs, **settings, **given.settings, progress=given.progress
         )
 
     def rolled_out(model: RobotModel, given: Input, prefix: str = "") -> Rollout:
         return roll_out(
             model,
             given.logs,
-            **how,
+            **settings,
             **given.settings,
             progress=lambda words, share: given.progress(f"{prefix}{words}", share),
         )
@@ -69,15 +69,17 @@ def run_rollout(options: RolloutOptions) -> None:
 
 def other_model(path: Path, given: Input) -> RobotModel:
     """Return another model of the same robot, with the same joints fixed."""
-    model, how, drives = given.model, None, None
+    model, reading, drives = given.model, None, None
     if not is_saved_model(path):
-        how = model.given if path.is_file() and is_xacro(path) else replace(model.given, xacro={})
-        drives = model.transmission  # whose logs these are
+        reading = model.given
+        if not (path.is_file() and is_xacro(path)):
+            reading = replace(reading, xacro={})
+        drives = model.transmission  # the logs belong to these
     other = load_model(
-        path, floating=model.floating, extra=given.extra, given=how, transmission=drives
+        path, floating=model.floating, extra=given.extra, given=reading, transmission=drives
     )
-    tell_repairs(other.path.name, other.repairs, given.progress)
-    return holding(other, {j: place for j, place in model.held.items() if j in other.joints})
+    report_repairs(other.path.name, other.repairs, given.progress)
+    return holding(other, {j: q for j, q in model.held.items() if j in other.joints})
 
 
 def _replay(found: RolloutFit | Simulated, path: Path) -> str:

@@ -31,28 +31,28 @@ _ENDING: ContextVar[bool] = ContextVar("ending", default=False)
 """Whether the process ends with the command."""
 
 INTERNAL_ERROR, BAD_INPUT, BAD_OUTPUT = 1, 2, 2
-INTERRUPTED, PIPE_CLOSED = 130, 141  # 128 + SIGINT and 128 + SIGPIPE, as shells have them
+INTERRUPTED, PIPE_CLOSED = 130, 141  # 128 + SIGINT and 128 + SIGPIPE, as in shells
 
 
 @contextmanager
 def settled_surroundings() -> Iterator[None]:
-    """Make the result of a command depend on its input only, not on the process environment.
+    """Make the result of a command independent of the process environment.
 
-    Closed standard streams are redirected to the null device, and replace characters that they
-    cannot encode. Memory is limited. Matplotlib's own settings are ignored. Standard output is
-    flushed at the end, which may fail as it is full or a broken pipe. What is printed while the
-    process exits, as by exit handlers of user code, goes to standard error.
+    Closed standard streams are redirected to the null device. Characters that a stream cannot
+    encode are replaced. Memory is limited, and the user's Matplotlib settings are ignored. Standard
+    output is flushed at the end, to report a full disk or a broken pipe. Output of exit handlers,
+    for example of user code, goes to standard error.
     """
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number: this one
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123
     sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal without ± is no reason to fail
+            stream.reconfigure(errors="replace")  # a terminal without ± must not cause an error
     _ENDING.set(True)
     limit_memory()
     os.environ.update(MPLBACKEND="Agg", MATPLOTLIBRC=os.devnull)
@@ -64,7 +64,7 @@ def settled_surroundings() -> Iterator[None]:
             sys.stdout.flush()
             if _descriptor(sys.stdout) == 1:
                 os.dup2(2, 1)
-    except OSError as error:  # errors of the work end in `guarded`; this is one of printing
+    except OSError as error:  # from printing; `guarded` handles errors of the command
         _write_nowhere(results())
         if error.errno == errno.EPIPE:
             raise SystemExit(PIPE_CLOSED) from None
@@ -74,7 +74,7 @@ def settled_surroundings() -> Iterator[None]:
     finally:
         try:
             sys.stderr.flush()
-        except (OSError, ValueError):  # full, or closed by code of users
+        except (OSError, ValueError):  # full, or closed by user code
             _write_nowhere(sys.stderr)
 
 
@@ -108,34 +108,34 @@ def results_apart() -> Iterator[None]:
     This includes output of user code, compiled libraries and child processes and, if the process
     ends with the command, of threads that outlive it.
     """
-    stdout, kept = sys.stdout, -1
+    stdout, copy = sys.stdout, -1
     stdout.flush()
-    to = stdout
+    stream = stdout
     if _descriptor(stdout) == 1:
-        kept = os.dup(1)
-        to = open(kept, "w", encoding=stdout.encoding, errors=stdout.errors)  # noqa: SIM115, PTH123
+        copy = os.dup(1)
+        stream = open(copy, "w", encoding=stdout.encoding, errors=stdout.errors)  # noqa: SIM115, PTH123
         os.dup2(2, 1)
-    token = _RESULTS.set(to)
+    token = _RESULTS.set(stream)
     try:
         with redirect_stdout(sys.stderr):
             yield
     finally:
         _RESULTS.reset(token)
-        if kept >= 0:
-            ctypes.CDLL(None).fflush(None)  # what C has not written yet
+        if copy >= 0:
+            ctypes.CDLL(None).fflush(None)  # buffered output of C libraries
             if not _ENDING.get():
-                os.dup2(kept, 1)
-            with suppress(OSError):  # `printing` has reported it
-                to.close()
+                os.dup2(copy, 1)
+            with suppress(OSError):  # already reported by `printing`
+                stream.close()
 
 
 def results() -> TextIO:
-    """Return the stream that results go to."""
+    """Return the stream for results."""
     return _RESULTS.get(None) or sys.stdout
 
 
 def print_whole(text: str) -> None:
-    """Print machine-readable text in UTF-8, whatever the terminal's encoding."""
+    """Print machine-readable text in UTF-8, independent of the terminal's encoding."""
     stream = results()
     if isinstance(stream, io.TextIOWrapper):
         stream.reconfigure(encoding="utf-8", errors="backslashreplace")
@@ -156,7 +156,7 @@ def printing() -> Iterator[None]:
 
 
 def _descriptor(stream: TextIO) -> int:
-    """Return the file descriptor that a stream writes to; -1 if it has none, as in tests."""
+    """Return the file descriptor of a stream; -1 if it has none, as in tests."""
     try:
         return stream.fileno()
     except (OSError, ValueError):
@@ -168,25 +168,25 @@ def _full(error: OSError) -> str:
 
 
 def _write_nowhere(stream: TextIO) -> None:
-    """Redirect a stream to the null device, so that Python does not fail to flush it at exit."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
+    """Redirect a stream to the null device, so that flushing it at exit does not fail."""
+    null = os.open(os.devnull, os.O_WRONLY)
     with suppress(OSError, ValueError):
-        os.dup2(nowhere, stream.fileno())
+        os.dup2(null, stream.fileno())
 
 
-_SMALLER = "Check the files, and pass fewer or shorter ones."
+_MEMORY_ADVICE = "Check the files, and pass fewer or shorter ones."
 
 
 @contextmanager
 def guarded(*, debug: bool = False, effect_files: Sequence[Path] = ()) -> Iterator[None]:
-    """Turn errors into a message on stderr and an exit code, also those in users' files.
+    """Turn errors, including those in user code, into a message on stderr and an exit code.
 
     With `debug` or GEODRAKE_DEBUG, the traceback is shown as well.
     """
     try:
         check_surroundings()
         with results_apart():
-            with deferred_interrupts():  # it prints errors of its own if its import is interrupted
+            with deferred_interrupts():  # an interrupted import prints its own errors
                 importlib.import_module("pydrake")
             yield
     except typer.Exit:
@@ -196,8 +196,8 @@ def guarded(*, debug: bool = False, effect_files: Sequence[Path] = ()) -> Iterat
     except KeyboardInterrupt:
         warn("Interrupted.")
         raise typer.Exit(INTERRUPTED) from None
-    except Exception as error:  # whatever it is, the user gets a sentence
-        if was_interrupted():  # extensions make an error of their own of an interrupt
+    except Exception as error:  # any error becomes a sentence for the user
+        if was_interrupted():  # extension modules turn an interrupt into their own error
             raise
         if debug or os.environ.get("GEODRAKE_DEBUG", "0") not in ("", "0"):
             for line in "".join(traceback.format_exception(error)).splitlines():
@@ -210,7 +210,7 @@ def guarded(*, debug: bool = False, effect_files: Sequence[Path] = ()) -> Iterat
         ]
         message, code = f"Error: {error}", BAD_INPUT
         if isinstance(error, MemoryError):
-            message = f"Error: Out of memory: {one_line(error)}. {_SMALLER}"
+            message = f"Error: Out of memory: {one_line(error)}. {_MEMORY_ADVICE}"
         elif lines and not isinstance(error, GeodrakeError):
             message = f"Error: {lines[-1]} raises {kind_and_line(error)}."
         elif not isinstance(error, GeodrakeError):

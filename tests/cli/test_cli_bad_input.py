@@ -47,7 +47,7 @@ BAD = {
         "--motor elbw=sts3215": "--motor names 'elbw', which is not a joint of the log",
         "--passive wrist": "--passive names 'wrist'",
         "--passive shoulder": "Joint 'shoulder' is passive",
-        "--passive shoulder --kind shoulder=current": "and --kind that it is",
+        "--passive shoulder --kind shoulder=current": "but --kind says that it is",
         "--rate -1": "a finite number above",
         "--columns time,a": "--columns names 2",
         "--mapping missing.yaml": "missing.yaml does not exist",

@@ -50,7 +50,7 @@ def test_lines_in_a_pipe_are_plain_or_none(capsys):
 def test_share_and_time_left_are_told_where_nothing_was_said_for_long(capsys, monkeypatch):
     with progress("Reading a file") as shown:
         shown.begin -= 10.0
-        shown.told -= 10.0
+        shown.printed -= 10.0
         shown("Simulating", 0.5)
         shown("Simulating", 0.6)
     assert capsys.readouterr().err == "Simulating (50 %, 10 s, about 10 s left)\n"

@@ -319,7 +319,7 @@ def test_many_repairs_are_counted(tmp_path):
     path.write_text(text, encoding="utf-8")
     done, _ = checked(path)
     assert done.output.count("Warning") == 6
-    assert "4 more of its parts were replaced or left out" in done.output
+    assert "4 more of its parts were replaced or omitted" in done.output
 
 
 def test_what_code_of_users_prints_is_no_result(tmp_path):

@@ -165,7 +165,7 @@ class TestCommand:
     @pytest.mark.parametrize(
         ("given", "words"),
         [
-            ("other:lower_link:0.5", "begins with none of the logs"),
+            ("other:lower_link:0.5", "does not begin with a log"),
             ("held:hand:0.5", "no moving body 'hand'"),
             ("held:lower_link:-1", "a mass of -1 kg"),
             ("held:lower_link", "cannot be parsed"),
