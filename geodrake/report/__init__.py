@@ -1,7 +1,7 @@
 """Pages, figures and JSON of results, for terminals, HTML and notebooks.
 
 `render(page_of(result))` is a self-contained HTML page, `figures_of(page_of(result))` its charts as
-matplotlib's figures.
+matplotlib figures.
 """
 
 from __future__ import annotations

@@ -560,4 +560,4 @@ VIEWS = {
         figure="directions",
     ),
 }
-"""How each type of result is shown."""
+"""Type of result -> its view."""

@@ -887,4 +887,4 @@ VIEWS = {
         figure="efforts",
     ),
 }
-"""How each type of result is shown."""
+"""Type of result -> its view."""

@@ -25,7 +25,7 @@ from geodrake.report.page import About, Page, Section, Table, Tile, View, cells
 _DATE_SOURCES = {"stamps": "its time stamps", "option": "--date", "file": "when its file changed"}
 _DIGITS = 12  # shown digits of a hash
 _MOST_NAMED = 3  # effects, gaps or rests named in a sentence
-_SI = {"current": "A", "voltage": "V", "pwm": "share"}  # units of quantities that are no SI names
+_SI = {"current": "A", "voltage": "V", "pwm": "share"}  # units of quantities without one
 _POSITION, _COMMAND = Stage("position", "after"), Stage("command", "quiet")
 _EFFORT = Stage("effort", "before")
 
@@ -436,4 +436,4 @@ VIEWS = {
         },
     ),
 }
-"""How each type of result is shown."""
+"""Type of result -> its view."""

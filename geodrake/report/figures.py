@@ -20,7 +20,7 @@ from geodrake.report import style
 from geodrake.report.charts import CUT, MOST_PANELS, Bars, Chart, Panel, Plot, Stage
 from geodrake.report.page import Page
 
-_LABELS_AT = -0.05  # of the width of the axes
+_LABEL_OFFSET = -0.05  # of the width of the axes
 _LOOKS: dict[str, dict[str, Any]] = {
     "line": {"linewidth": 1.1},
     "wide": {"linewidth": 3.2},
@@ -41,7 +41,7 @@ def save_figures(figures: Mapping[str, Figure], folder: str | Path) -> tuple[Pat
 
     Args:
         figures: Name -> figure.
-        folder: Where `<name>.png` goes; made if it does not exist.
+        folder: Folder of the files `<name>.png`; created if it does not exist.
 
     Raises:
         OutputError: A file cannot be written.
@@ -59,20 +59,20 @@ def save_figures(figures: Mapping[str, Figure], folder: str | Path) -> tuple[Pat
 def chart_figure(chart: Chart, most: int = MOST_PANELS) -> Figure:
     """Return a figure of the panels that a page shows first.
 
-    Two plots of a panel stand above each other; more, or those with axes of their own, abreast.
+    Two plots of a panel are stacked; more, or those with their own axes, are side by side.
     """
     panels = [panel for panel in chart.panels if panel.shown][:most]
     stages = [stage for stage in chart.stages if stage.shown]
     count = max((len(panel.plots) for panel in panels), default=1)
-    above = count == 2 and not chart.abreast
-    rows, columns = (2 * len(panels), 1) if above else (len(panels), count)
-    figure = style.new_figure(0.8 + (2.25 if above else 1.55) * len(panels))
+    is_stacked = count == 2 and not chart.abreast
+    rows, columns = (2 * len(panels), 1) if is_stacked else (len(panels), count)
+    figure = style.new_figure(0.8 + (2.25 if is_stacked else 1.55) * len(panels))
     grid = figure.subplots(
         max(rows, 1), columns, squeeze=False, sharex=not chart.abreast,
-        height_ratios=[2, 1] * len(panels) if above else None,
+        height_ratios=[2, 1] * len(panels) if is_stacked else None,
     )  # fmt: skip
     for k, panel in enumerate(panels):
-        axes = grid[2 * k : 2 * k + 2, 0] if above else grid[k]
+        axes = grid[2 * k : 2 * k + 2, 0] if is_stacked else grid[k]
         name = style.label(panel.title, 48)
         axes[0].set_title(name, loc="left", pad=4, **style.plain(fontweight="bold"))
         if panel.detail:
@@ -80,9 +80,9 @@ def chart_figure(chart: Chart, most: int = MOST_PANELS) -> Figure:
             axes[0].set_title(style.label(panel.detail), loc="right", pad=4, **size)
         for ax, plot in zip(axes, panel.plots, strict=False):
             _draw(style.polish(ax), chart, panel, plot, stages)
-        if above:
-            for ax in axes:  # to align labels by their ticks takes seconds
-                ax.yaxis.set_label_coords(_LABELS_AT, 0.5)
+        if is_stacked:
+            for ax in axes:  # automatic alignment takes seconds
+                ax.yaxis.set_label_coords(_LABEL_OFFSET, 0.5)
     if not chart.abreast:
         for ax in grid[-1]:
             ax.set_xlabel(chart.axis, **style.plain(style.SMALL, style.QUIET))
@@ -137,7 +137,7 @@ def _draw(ax: Axes, chart: Chart, panel: Panel, plot: Plot, stages: list[Stage])
 
 
 def _label_time(ax: Axes, chart: Chart) -> None:
-    """Label the axis with each log's own time, and draw lines at the beginning of logs."""
+    """Label the axis with each log's own time, and draw lines between logs."""
     low, high = chart.ends
     places: dict[float, str] = {}
     for _, first, last, shift in chart.stretches:
@@ -156,13 +156,13 @@ def _label_time(ax: Axes, chart: Chart) -> None:
 
 @style.own_look()
 def bars_figure(bars: Bars) -> Figure:
-    """Return bars with their numbers, as long as on a page."""
+    """Return bars with their numbers, scaled as on a page."""
     count = sum(len(row.bars) for row in bars.rows) + len(bars.rows)
     figure = style.new_figure(1.0 + 0.2 * count)
     ax = style.polish(figure.subplots(), grid="none")
-    at, ticks = 0.0, []
+    y_start, ticks = 0.0, []
     for row in bars.rows:
-        ends = [at + k for k in range(len(row.bars))]
+        ends = [y_start + k for k in range(len(row.bars))]
         for y, (stage, value) in zip(ends, row.bars.items(), strict=True):
             end, color = bars.end(value), style.COLORS[stage.color]
             ax.barh(y, end, 0.86, color=color, alpha=stage.opacity)
@@ -174,10 +174,10 @@ def bars_figure(bars: Bars) -> Figure:
             color, span = style.COLORS[stage.color], (ends[0] - 0.6, ends[-1] + 0.6)
             ax.vlines(bars.end(value), *span, color=color, linestyle="--")
         ticks.append(float(np.mean(ends)))
-        at = ends[-1] + 1.8
+        y_start = ends[-1] + 1.8
     labels = [style.label(row.label, 62) for row in bars.rows]
     ax.set_yticks(ticks, labels, **style.plain(style.SMALL + 0.5))
-    ax.set_ylim(at - 1.0, -0.8)
+    ax.set_ylim(y_start - 1.0, -0.8)
     ax.set_xlim(0.0, 1.12)
     ax.set_xticks([])
     ax.tick_params(axis="y", length=0)

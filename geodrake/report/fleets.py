@@ -483,4 +483,4 @@ _PARAMETERS = (
 VIEWS = {
     FleetResult: View(fleet_page, "Fleet", _fleet_values),
 }
-"""How each type of result is shown."""
+"""Type of result -> its view."""

@@ -33,7 +33,7 @@ def render(page: Page) -> str:
         scripts.insert(0, f"/* uPlot\n{licence}\n*/\n{code}")
         style = _asset("uplot/uPlot.min.css") + style
     environment = templates()
-    environment.filters["json_of"] = Markup  # a chart's data, which has no letter of markup
+    environment.filters["json_of"] = Markup  # a chart's data, which is escaped
     environment.filters["breakable"] = _breakable
     environment.filters["base64"] = lambda data: base64.b64encode(data).decode("ascii")
     return environment.get_template("report.html.jinja").render(
@@ -45,7 +45,7 @@ def render(page: Page) -> str:
 
 
 def templates() -> Environment:
-    """Return the templates of all pages, which escape values; a missing one is an error."""
+    """Return the templates of all pages; they escape values, and missing values are errors."""
     return Environment(
         loader=PackageLoader("geodrake", "report"),
         autoescape=True,
@@ -57,15 +57,15 @@ def templates() -> Environment:
 
 
 def _shown_text(value: Any) -> Any:
-    """Return printable text whose numbers stay on one line with per cent signs and deviations."""
-    if not isinstance(value, str) or hasattr(value, "__html__"):  # a macro's: done
+    """Return printable text with no-break spaces before percent signs and around ±."""
+    if not isinstance(value, str) or hasattr(value, "__html__"):  # the output of a macro
         return value
     text = re.sub(r"(?<=\d) %", "\N{NO-BREAK SPACE}%", printable(value))
     return text.replace(" ± ", "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}")
 
 
 def _breakable(text: str) -> Markup:
-    """Return lines as markup whose long names may break after an underscore or a slash."""
+    """Return lines as markup in which names may break after an underscore or a slash."""
     shown = "\n".join(str(escape(_shown_text(line))) for line in text.split("\n"))
     return Markup(re.sub("(?<=[_/])(?=[^_/])", "<wbr>", shown))
 
@@ -85,7 +85,7 @@ def _policy(scripts: Sequence[str]) -> str:
 
 
 def notebook_html(page: Page) -> str:
-    """Return the answer and the tables of a page, as notebooks show them."""
+    """Return the answer and the tables of a page for notebooks."""
     sections = [section for section in page.shown_sections if not section.detailed]
     shown = [table for s in sections for table in s.shown_tables if not table.detailed]
     template = templates().get_template("notebook.html.jinja")

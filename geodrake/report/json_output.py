@@ -1,8 +1,8 @@
-"""Results as JSON: plain dictionaries of finite numbers and names; every null comes with a reason.
+"""Results as JSON: plain dictionaries of finite numbers and names, with a reason for every null.
 
-The kinds of objects, with keys, types, units and reasons, stand in `schema.yaml`. Results are
-written by these tables, and `tools/result_schema.py` publishes them as JSON Schema. The keys are a
-stable interface; more may be added, none are renamed.
+`schema.yaml` defines the kinds of objects, with keys, types, units and reasons;
+`tools/result_schema.py` publishes it as JSON Schema. The keys are a stable interface: more may be
+added, none are renamed.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import yaml  # type: ignore[import-untyped]
 from geodrake.boundary.escaping import json_text
 
 _TOKENS = str.maketrans({"~": "~0", "/": "~1"})  # of keys in a JSON pointer (RFC 6901)
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast where it is built
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast, if available
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Key(NamedTuple):
 
     type: Any
     is_optional: bool  # whether it may be absent
-    place: Any  # where its value is in what the object is of, as `schema.yaml` says it
+    path: Any  # to its value in the source of the object, as in `schema.yaml`
 
 
 def picked(value: object, *names: str) -> dict[str, Any]:
@@ -47,29 +47,29 @@ def picked(value: object, *names: str) -> dict[str, Any]:
 
 @cache
 def schema() -> Mapping[str, Any]:
-    """Return the tables: `units` with their words, and `kinds` of objects with their keys."""
+    """Return the descriptions of `units`, and the `kinds` of objects with their keys."""
     text = (files("geodrake.report") / "schema.yaml").read_text(encoding="utf-8")
-    found: Mapping[str, Any] = yaml.load(text, _LOADER)
-    return found
+    tables: Mapping[str, Any] = yaml.load(text, _LOADER)
+    return tables
 
 
 @cache
 def keys_of(kind: str) -> Mapping[str, Key]:
     """Return the keys of a kind of object by name; inherited ones come first."""
-    said = schema()["kinds"][kind]
-    base, places = keys_of(said["is"]) if "is" in said else {}, said.get("from", {})
-    own = {name.rstrip("*"): (type_, name.endswith("*")) for name, type_ in said["keys"].items()}
-    return {**base, **{name: Key(*each, places.get(name, name)) for name, each in own.items()}}
+    entry = schema()["kinds"][kind]
+    base, paths = keys_of(entry["is"]) if "is" in entry else {}, entry.get("from", {})
+    own = {name.rstrip("*"): (type_, name.endswith("*")) for name, type_ in entry["keys"].items()}
+    return {**base, **{name: Key(*each, paths.get(name, name)) for name, each in own.items()}}
 
 
-def type_and_reason(said: str) -> tuple[str, str]:
-    """Return the name of a type without its mark, and why a value may be null, or ""."""
-    name, _, reason = said.partition(" | ")
+def type_and_reason(text: str) -> tuple[str, str]:
+    """Return the name of a type without its mark, and the reason why it may be null, or ""."""
+    name, _, reason = text.partition(" | ")
     return name.rstrip("*"), reason
 
 
 def record(kind: str, source: object = None, /, **given: Any) -> dict[str, Any]:
-    """Build an object of a kind from given values, and from what the source has for the rest.
+    """Build an object of a kind from given values, and from the source for the other keys.
 
     Nested objects are built likewise, also from tuples of their values. An optional key is written
     only if it is given.
@@ -78,53 +78,53 @@ def record(kind: str, source: object = None, /, **given: Any) -> dict[str, Any]:
     if unknown := given.keys() - keys:
         raise KeyError(f"{kind} has no {', '.join(unknown)}")
     return {
-        name: _made(key.type, given[name] if name in given else _at(source, key.place))
+        name: _converted(key.type, given[name] if name in given else _value_at(source, key.path))
         for name, key in keys.items()
         if name in given or not key.is_optional
     }
 
 
-def _at(source: Any, place: Any) -> Any:
+def _value_at(source: Any, path: Any) -> Any:
     """Return the value at a path of an object, or several by name."""
-    if isinstance(place, Mapping):
-        return {name: _at(source, each) for name, each in place.items()}
-    values, by, names = place.partition(" for ")
-    if by:
-        return _by_name(_at(source, names), _at(source, values))
+    if isinstance(path, Mapping):
+        return {name: _value_at(source, each) for name, each in path.items()}
+    values, is_mapping, names = path.partition(" for ")
+    if is_mapping:
+        return _by_name(_value_at(source, names), _value_at(source, values))
     for part in values.split("."):
         source = _part(source, part)
     return source
 
 
 def _part(source: Any, name: str) -> Any:
-    """Return the object itself, an entry by its number, an attribute, or that of each entry."""
+    """Return the object itself, an entry by index, an attribute, or that of each entry."""
     if name == "self":
         return source
     if name.lstrip("-").isdigit():
         return source[int(name)]
     if isinstance(source, list | tuple):
-        return [getattr(one, name) for one in source]
-    found = getattr(source, name)
-    return found() if isroutine(found) else found
+        return [getattr(entry, name) for entry in source]
+    value = getattr(source, name)
+    return value() if isroutine(value) else value
 
 
 def _by_name(names: Sequence[str], values: Sequence[Any] | None) -> dict[str, Any]:
     return dict.fromkeys(names) if values is None else dict(zip(names, values, strict=True))
 
 
-def _made(said: Any, value: Any) -> Any:
+def _converted(type_: Any, value: Any) -> Any:
     """Convert a value to its type, nested objects to records, missing values to their reason."""
     if isinstance(value, NoNumber):
         return value
-    if isinstance(said, dict):
-        (inner,) = said.values()
-        return {name: _made(inner, one) for name, one in value.items()}
-    if isinstance(said, list):
-        (inner,) = said
+    if isinstance(type_, dict):
+        (inner,) = type_.values()
+        return {name: _converted(inner, entry) for name, entry in value.items()}
+    if isinstance(type_, list):
+        (inner,) = type_
         is_plain = isinstance(inner, str) and type_and_reason(inner)[0] not in schema()["kinds"]
-        is_there = is_plain and not isinstance(value, Iterator)
-        return value if is_there else [_made(inner, one) for one in value]
-    name, reason = type_and_reason(said)
+        is_list = is_plain and not isinstance(value, Iterator)
+        return value if is_list else [_converted(inner, entry) for entry in value]
+    name, reason = type_and_reason(type_)
     if reason and (value is None or (isinstance(value, float) and not math.isfinite(value))):
         return NoNumber(reason)
     if value is None or name not in schema()["kinds"]:
@@ -135,10 +135,10 @@ def _made(said: Any, value: Any) -> Any:
 
 
 def to_json(result: Mapping[str, Any]) -> str:
-    """Return the text of a result; every number in it is finite, or null with a reason.
+    """Return a result as JSON text; every number is finite, or null.
 
-    Where there is a null, the key `nulls` says of each why: its place as a JSON pointer, such as
-    `/steps/0/deviations/flange/mass`, and the reason in words.
+    The key `nulls` has the reason for each null, by its place as a JSON pointer, such as
+    `/steps/0/deviations/flange/mass`.
     """
     nulls: dict[str, str] = {}
     plain = plain_of(result, "", nulls)
@@ -152,7 +152,7 @@ def plain_of(value: Any, place: str, nulls: dict[str, str]) -> Any:
 
     Args:
         place: JSON pointer to the value.
-        nulls: Filled with the place of each None, and its reason.
+        nulls: Output; place of each None -> reason.
     """
     if isinstance(value, float) and not math.isfinite(value):
         value = NoNumber("was not determined" if math.isnan(value) else "is infinite")

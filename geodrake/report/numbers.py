@@ -16,11 +16,11 @@ UNKNOWN = "–"
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _SERVO_UNITS = {"gain": "N·m/rad", "damping": "N·m·s/rad", "integral": "N·m/(rad·s)", "delay": "s"}
 _LEAST_CHANCE = 1e-6
-_NOTICED = 0.3  # a systematic deviation is shown from this share of the other one on
+_NOTICED = 0.3  # largest statistical over systematic deviation at which the latter is shown
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Return a value with so many significant digits, times 10ⁿ if very small or large."""
+    """Return a value with the given significant digits, times 10ⁿ if very small or large."""
     if not math.isfinite(value):
         return UNKNOWN
     if value == 0:
@@ -32,13 +32,10 @@ def number(value: float, digits: int = 3) -> str:
 
 
 def with_deviation(value: float, deviation: float, systematic: float = math.nan) -> str:
-    """Return `3.084 ± 0.012`, rounded to the last digit that the standard deviation leaves certain.
+    """Return a value with its standard deviation and matching digits, such as `3.084 ± 0.012`.
 
-    With a systematic one that is not small beside it `3.084 ± 0.012 ± 0.154`.
-
-    Args:
-        deviation: Its standard deviation; left out where it is not a positive finite number.
-        systematic: A standard deviation that more data do not narrow.
+    A systematic deviation, which more data do not reduce, is added if it is large enough:
+    `3.084 ± 0.012 ± 0.154`. The deviation is omitted unless it is positive and finite.
     """
     if not (math.isfinite(value) and math.isfinite(deviation) and deviation > 0):
         return number(value)
@@ -55,19 +52,19 @@ def with_deviation(value: float, deviation: float, systematic: float = math.nan)
 
 
 def if_known(value: float, deviation: float) -> str:
-    """Return `with_deviation`, or that a value is unknown if its deviation is no smaller."""
+    """Return `with_deviation`, or `unknown, ± …` if the deviation is at least the value."""
     if math.isfinite(deviation) and deviation >= abs(value):
         return f"unknown, ± {number(deviation, 2)}"
     return with_deviation(value, deviation)
 
 
 def is_noticed(deviation: float, systematic: float) -> bool:
-    """Return whether a systematic deviation is shown beside another one."""
+    """Return whether a systematic deviation is large enough to be shown."""
     return math.isfinite(systematic) and 0.0 < deviation < systematic / _NOTICED
 
 
 def estimate(value: float, deviation: float, systematic: float = math.nan) -> str:
-    """Return a value with its standard deviation; plain digits without one, as for a shape."""
+    """Return a value with its standard deviation, or in plain digits without one."""
     if math.isfinite(deviation):
         return with_deviation(value, deviation, systematic)
     text = number(value, 4)
@@ -87,7 +84,7 @@ def percent(share: float) -> str:
 
 
 def chance(probability: float) -> str:
-    """Return a probability, those below a millionth as `< 10⁻⁶`."""
+    """Return a probability, or `< 10⁻⁶`."""
     return "< 10⁻⁶" if probability < _LEAST_CHANCE else number(probability, 2)
 
 
@@ -99,7 +96,7 @@ def relative(deviation: float) -> str:
 
 
 def shortened(text: str, most: int) -> str:
-    """Return a printable text of at most so many characters, its middle left out if longer."""
+    """Return a printable text of at most `most` characters, omitting its middle if needed."""
     text = printable(text)
     if len(text) <= most:
         return text
@@ -113,9 +110,9 @@ class Units:
 
     Attributes:
         joints: Names of all joints.
-        prismatic: Names of those whose effort is a force, N, and whose position is in m.
-        effects: Effect classes by name, those of the catalogue and the user's own.
-        base: Names of the joints of a free base, which no effect of all joints acts at.
+        prismatic: Names of joints whose effort is a force, N, and whose position is in m.
+        effects: Effect classes by name, of the catalogue and the user.
+        base: Names of the joints of a free base, which have no joint effects.
     """
 
     joints: tuple[str, ...] = ()
@@ -127,27 +124,25 @@ class Units:
 
     @property
     def driven(self) -> tuple[str, ...]:
-        """All joints but those of a free base."""
+        """All joints except those of a free base."""
         return tuple(joint for joint in self.joints if joint not in self.base)
 
     @classmethod
     def of(cls, model: RobotModel, extra: Sequence[type[Effect]] = ()) -> Units:
-        """Return the units of a model's joints, its effects, and others that it need not have."""
-        own = {kind.name: kind for kind in (*extra, *(type(f.effect) for f in model.effects))}
-        effects, base = {**cls().effects, **own}, frozenset(model.base_joints)
+        """Return the units of a model's joints and effects, and of further effects."""
+        kinds = {kind.name: kind for kind in (*extra, *(type(f.effect) for f in model.effects))}
+        effects, base = {**cls().effects, **kinds}, frozenset(model.base_joints)
         return cls(model.joints, frozenset(model.sliding_joints), effects, base)
 
     def at(self, joint: str, unit: str) -> str:
-        """Return a unit that is written for a revolute joint, at a joint."""
-        if joint in self.prismatic:
-            return when_sliding(unit)
-        return unit
+        """Return the unit at a joint, given that at a revolute joint."""
+        return when_sliding(unit) if joint in self.prismatic else unit
 
     def effort(self, joints: Collection[str] | None = None) -> str:
         """Return the unit of the efforts of several joints, or of all: `N·m`, `N` or `N·m or N`."""
         names = self.joints if joints is None else joints
-        found = {self.at(joint, "N·m") for joint in names} or {"N·m"}
-        return " or ".join(sorted(found, reverse=True))
+        units = {self.at(joint, "N·m") for joint in names} or {"N·m"}
+        return " or ".join(sorted(units, reverse=True))
 
     def parameter(self, effect: str, name: str, place: str) -> str:
         """Return the unit of a parameter at a place, such as `a & b`; "" if dimensionless."""
@@ -157,29 +152,29 @@ class Units:
         return "" if unit == "1" else self.at(place.partition(" & ")[0], unit)
 
     def shown(self, effect: str, name: str, value: float) -> float:
-        """Return a parameter's value in its displayed unit, `parameter`."""
+        """Return a parameter's value in its displayed unit; see `parameter`."""
         return 1e3 * value if self._in_milliseconds(effect, name) else value
 
     def _in_milliseconds(self, effect: str, name: str) -> bool:
         """Return whether a parameter is a delay, which is shown in milliseconds."""
         kind = self.effects.get(effect)
-        late = effect == SERVO if kind is None else kind.role is Role.DELAY
-        return late and self._unit(effect, name) == "s"
+        has_delay = effect == SERVO if kind is None else kind.role is Role.DELAY
+        return has_delay and self._unit(effect, name) == "s"
 
     def _unit(self, effect: str, name: str) -> str:
-        """Return the SI unit at a revolute joint; 1 if unknown."""
+        """Return the SI unit at a revolute joint; "1" if unknown."""
         if effect in self.effects:
             return self.effects[effect].unit_of(name)
         return _SERVO_UNITS.get(name, "1") if effect == SERVO else "1"
 
 
 def _exponent(value: float, digits: int) -> int:
-    """Return the power of ten of a value's first digit, after rounding to so many digits."""
+    """Return the power of ten of a value's first digit, after rounding to some digits."""
     return int(f"{value:.{digits - 1}e}".partition("e")[2])
 
 
 def _fixed(value: float, decimals: int) -> str:
-    """Return a value rounded to decimals, which may be negative, with a true minus sign."""
+    """Return a value rounded to decimals, which may be negative, with a typographic minus."""
     text = f"{round(value, decimals):.{max(decimals, 0)}f}"
     return text.replace("-", "−") if float(text) else text.lstrip("-")
 

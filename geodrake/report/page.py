@@ -1,4 +1,4 @@
-"""The content of a result, which terminals, HTML pages and notebooks print."""
+"""The content of a result, for terminals, HTML pages and notebooks."""
 
 from __future__ import annotations
 
@@ -22,9 +22,8 @@ class Cell:
     """An entry of a table."""
 
     text: str  # one or several lines
-    note: str = ""  # printed below the text in small letters on an HTML page
-    # Share in [0, 1] that an HTML page draws as a bar beside the text; None for no bar.
-    bar: float | None = None
+    note: str = ""  # small text below, on HTML pages
+    bar: float | None = None  # length in [0, 1] of a bar beside the text, on HTML pages
     typed: str = ""  # name in commands, which terminals and notebooks show instead of the text
 
 
@@ -34,9 +33,9 @@ class Table:
 
     head: tuple[str, ...]
     rows: Sequence[tuple[Cell, ...]]  # each as long as the head
-    words: int = 1  # number of columns of text, which come first; the others hold numbers
+    words: int = 1  # number of text columns, which precede those of numbers
     title: str = ""
-    total: int = 0  # number of rows of totals, which come last
+    total: int = 0  # number of total rows at the end
     detailed: bool = False  # whether only HTML pages show it
     deep: tuple[str, ...] = ()  # columns that terminals show only with details
 
@@ -66,12 +65,12 @@ class Section:
     """A part of a page under a heading."""
 
     title: str
-    text: str = ""  # a sentence that describes the content
-    more: str = ""  # how to read it: paragraphs that HTML pages unfold
+    text: str = ""  # a description of the content
+    more: str = ""  # paragraphs on how to read it, folded on HTML pages
     bars: tuple[Bars, ...] = ()
     tables: tuple[Table, ...] = ()
     items: tuple[str, ...] = ()
-    lists: Mapping[Stage, tuple[str, ...]] = field(default_factory=dict)  # of models, side by side
+    lists: Mapping[Stage, tuple[str, ...]] = field(default_factory=dict)  # side by side
     commands: tuple[str, ...] = ()  # commands to copy
     charts: tuple[Chart, ...] = ()
     detailed: bool = False  # whether only HTML pages show it
@@ -139,11 +138,11 @@ class Page:
         mark: The verdict in a few words.
         headline: The answer, in a sentence.
         verdict: "adequate", "explained", "unexplained" or "undecided", which set the colour, or
-            another word where there is no verdict.
-        of: What was compared with what, if it is not the model with the logs.
+            another word if there is no verdict.
+        of: The subject, if it is not the model and the logs.
         lead: Paragraphs that interpret the answer.
         tiles: Numbers at the top of the page.
-        first: What to check before all else: mistakes in columns, and data that are left out.
+        first: Sections to check first: mistakes in columns, and omitted data.
         compared: Title -> comparison whose errors colour a picture of the robot.
         pictures: These pictures, for HTML pages.
     """
@@ -163,9 +162,9 @@ class Page:
 
     @property
     def subject(self) -> str:
-        """Return what was compared with what."""
-        against = f"{self.about.model} against {', '.join(self.about.logs)}"
-        return against if self.of is None else self.of
+        """Return the subject of the page."""
+        subject = f"{self.about.model} against {', '.join(self.about.logs)}"
+        return subject if self.of is None else self.of
 
     @property
     def shown_sections(self) -> tuple[Section, ...]:
@@ -182,11 +181,11 @@ class Page:
 
 @dataclass(frozen=True)
 class View:
-    """How one type of result is shown."""
+    """Functions that show one type of result."""
 
     page: Callable[[Any, About], Page]
     kind: str  # type of its JSON object, as in `schema.yaml`
-    # Values of JSON keys that are not attributes of the result.
+    # Values of JSON keys that are no attributes of the result.
     given: Callable[[Any], Mapping[str, Any]] = lambda found: {}
     records: Any = None  # function to rows of numbers, for a DataFrame; None if there are none
     samples: Any = None  # function to the samples by column; None if there are none

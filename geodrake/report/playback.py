@@ -427,4 +427,4 @@ def effect_words(fitted: FittedEffect, units: Units) -> str:
 
 
 VIEWS = {Playback: View(playback_page, "Played")}
-"""How each type of result is shown."""
+"""Type of result -> its view."""

@@ -272,4 +272,4 @@ VIEWS = {
         figure="rollout",
     ),
 }
-"""How each type of result is shown."""
+"""Type of result -> its view."""

@@ -1,4 +1,4 @@
-"""How figures look: palette, axes, and the way to PNG. Nothing of matplotlib's state is changed."""
+"""Style of figures, and their files; matplotlib's global settings are not changed."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ COLORS = {
     "step-3": "#7a6bc4",
     "step-4": "#8a7a1c",
 }
-"""The colours of pages by their names in the style sheet."""
+"""Colours by their names in the style sheet of pages."""
 
 WIDTH = 10.0  # width of every figure, inches
 DPI = 130
 SMALL, NORMAL = 8.0, 9.0
 _MOST_LETTERS = 160
-_FONT = "DejaVu Sans"  # which comes with matplotlib
+_FONT = "DejaVu Sans"  # comes with matplotlib
 _SETTINGS = {
     **{name: value for name, value in rcParamsDefault.items() if not name.startswith("backend")},
     "text.parse_math": False,
@@ -57,16 +57,13 @@ _SETTINGS = {
 
 @contextmanager
 def own_look() -> Iterator[None]:
-    """Make or draw a figure with matplotlib's own settings, not those of the user.
-
-    Dollars in names of joints are letters, not the signs of mathematics.
-    """
+    """Use matplotlib's default settings rather than the user's; `$` is not mathematics."""
     with rc_context(_SETTINGS):
         yield
 
 
 def new_figure(height: float) -> Figure:
-    """Return an empty figure of the common width and a height in inches."""
+    """Return an empty figure of the common width and the given height, inches."""
     return Figure(figsize=(WIDTH, height), dpi=DPI, facecolor="white", layout="constrained")
 
 
@@ -83,29 +80,29 @@ def polish(ax: Axes, *, grid: str = "both") -> Axes:
 
 
 def plain(size: float = NORMAL, color: str = INK, **more: Any) -> dict[str, Any]:
-    """Return text properties by which `$` in names of joints is not read as mathematics."""
+    """Return text properties that do not parse `$` in names as mathematics."""
     return {"fontsize": size, "color": color, "parse_math": False, **more}
 
 
 def label(text: str, most: int = _MOST_LETTERS) -> str:
-    """Return words for a figure, not too many letters; those that the font has not become �."""
+    """Return a shortened text for a figure; characters missing in the font become �."""
     font = get_font(findfont(_FONT))
     return "".join(c if font.get_char_index(ord(c)) else "�" for c in shortened(text, most))
 
 
 def log_scale(ax: Axes, axis: str = "y") -> None:
-    """Make an axis logarithmic, its ticks written as plain numbers."""
-    of: XAxis | YAxis = ax.xaxis if axis == "x" else ax.yaxis
+    """Make an axis logarithmic, with plain numbers as labels."""
+    scale: XAxis | YAxis = ax.xaxis if axis == "x" else ax.yaxis
     ax.set(**{f"{axis}scale": "log"})
-    low, high = of.get_view_interval()
+    low, high = scale.get_view_interval()
     subs = (1.0, 2.0, 5.0) if high / low < 3e3 else (1.0,)
-    of.set_major_locator(LogLocator(subs=subs, numticks=12))
-    of.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    of.set_minor_formatter(NullFormatter())
+    scale.set_major_locator(LogLocator(subs=subs, numticks=12))
+    scale.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    scale.set_minor_formatter(NullFormatter())
 
 
 def legend_above(figure: Figure, handles: Sequence[Any]) -> None:
-    """Add one legend for the whole figure, above it."""
+    """Add a legend above the whole figure."""
     figure.legend(
         handles=list(handles),
         loc="outside upper left",
@@ -126,14 +123,14 @@ def note_below(figure: Figure, text: str) -> None:
 
 @own_look()
 def figure_bytes(figure: Figure, kind: str = "png") -> bytes:
-    """Return a figure as the bytes of a file, "png", "pdf" or "svg", the same each time."""
+    """Return a figure as a reproducible "png", "pdf" or "svg" file."""
     canvas, buffer = FigureCanvasAgg(figure), io.BytesIO()
-    if kind == "png":  # of 256 colours, a third of the size
+    if kind == "png":  # 256 colours take a third of the size
         canvas.draw()  # type: ignore[no-untyped-call]
         pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
-        few = Image.fromarray(pixels).convert("RGB").quantize(256, dither=Image.Dither.NONE)
-        few.save(buffer, "PNG", optimize=True, dpi=(DPI, DPI))
+        image = Image.fromarray(pixels).convert("RGB").quantize(256, dither=Image.Dither.NONE)
+        image.save(buffer, "PNG", optimize=True, dpi=(DPI, DPI))
     else:
-        dated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
-        figure.savefig(buffer, format=kind, metadata=dated[kind])
+        undated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+        figure.savefig(buffer, format=kind, metadata=undated[kind])
     return buffer.getvalue()

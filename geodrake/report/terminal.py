@@ -1,4 +1,4 @@
-"""Pages in a terminal, or as plain text in a pipe."""
+"""Pages in terminals, or as plain text in pipes."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from geodrake.boundary.escaping import printable
 from geodrake.report.page import Page, Section, Table
 
 _PLACES_WIDTH = 36
-_WIDE = 110  # columns of a terminal from which on a row of a table may have several lines
+_WIDE = 110  # columns of a terminal in which table rows may have several lines
 
 
 class ResultsConsole(Console):
-    """Escapes control characters, so that no name in a string can act on the terminal."""
+    """Console that escapes control characters, so that no string can control the terminal."""
 
     def render_str(self, text: str, **how: Any) -> Text:
         """Return printable text; markup is not interpreted."""
@@ -33,7 +33,7 @@ class ResultsConsole(Console):
 def show_page(console: Console, page: Page, *, details: bool = True) -> None:
     """Print a page: its subject, what to check first, the answer, and the sections.
 
-    Without details, only the titles of deep sections are printed.
+    Without details, only the titles of deep sections are listed.
     """
     if page.subject:
         console.print(page.subject, soft_wrap=True)
@@ -82,7 +82,7 @@ def show_saved(console: Console, saved: Mapping[Path, str], others: Sequence[obj
 
 
 def show_paragraph(console: Console, head: str, sentence: str) -> None:
-    """Print a paragraph; in a pipe it stays one line."""
+    """Print a paragraph, in a pipe on one line."""
     text = Text.assemble((f"{head}: ", "bold"), printable(sentence))
     console.print()
     console.print(text, soft_wrap=not console.is_terminal)
@@ -104,9 +104,9 @@ def _show_items(console: Console, items: Sequence[str]) -> None:
 
 
 def _show_table(console: Console, table: Table) -> None:
-    """Print a table with a rule under its head in a terminal, and without lines in a pipe.
+    """Print a table.
 
-    In a narrow terminal the further lines of a row are printed below the table.
+    In a narrow terminal, further lines of its rows are printed below.
     """
     wide = not console.is_terminal or console.width >= _WIDE
     grid = Grid(
@@ -124,17 +124,17 @@ def _show_table(console: Console, table: Table) -> None:
         else:
             title = printable(name).replace(" ", "\n" if console.is_terminal else " ")
             grid.add_column(Text(title), justify="right", no_wrap=True)
-    under = []
+    notes = []
     for k, row in enumerate(table.rows):
         if table.total and k == len(table.rows) - table.total:
             grid.add_section()
         lines = [[printable(t) for t in (c.typed or c.text).split("\n")] for c in row]
         if not wide:
             pairs = list(zip(lines, row, strict=True))
-            more = [line for own, cell in pairs if not cell.typed for line in own[1:]]
+            more = [line for entry, cell in pairs if not cell.typed for line in entry[1:]]
             name = next((cell.typed for cell in row if cell.typed), row[0].text)
-            under += [f"{name}: {'; '.join(more)}".replace("\n", " ")] if more else []
-            lines = [own if cell.typed else own[:1] for own, cell in pairs]
-        grid.add_row(*(Text("\n".join(own)) for own in lines))
+            notes += [f"{name}: {'; '.join(more)}".replace("\n", " ")] if more else []
+            lines = [entry if cell.typed else entry[:1] for entry, cell in pairs]
+        grid.add_row(*(Text("\n".join(entry)) for entry in lines))
     console.print(grid)
-    _show_items(console, under)
+    _show_items(console, notes)

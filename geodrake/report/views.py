@@ -1,6 +1,6 @@
-"""Each kind of result as people see it: its page, JSON, rows of numbers, samples, and a figure.
+"""Pages, JSON, tables, samples and figures of results of any type.
 
-`geodrake.boundary.showing.Shown` asks for them by the name of this module.
+`geodrake.boundary.showing.Shown` imports this module by its name.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ _KINDS = {
     "exports": ("ProvenExport", "DynamicsCheck", "DigestRun", "InspectedLogs"),
     "playback": ("Playback",),
 }
-"""Module here -> the results that its `VIEWS` are of; imported only where there is one of them."""
+"""Module of this package -> result types of its `VIEWS`; each is imported when needed."""
 
 
 def view_of(result: object, part: str = "page") -> View:
-    """Return how to see a result; refuse what is none, or has no such part as `View` calls it."""
+    """Return the view of a result; raise if it has none, or lacks a part (a field of `View`)."""
     for kind in type(result).__mro__:
         for module, names in _KINDS.items():
             if kind.__name__ in names:
@@ -52,7 +52,7 @@ def view_of(result: object, part: str = "page") -> View:
 
 
 def page_of(result: object, about: About | None = None) -> Page:
-    """Return the page of a result, by default with its own model and without names."""
+    """Return the page of a result, by default with its model's units and without names."""
     if about is None:
         model = getattr(result, "model", None)
         about = About() if model is None else About(units=Units.of(model))
@@ -65,7 +65,7 @@ def numbers_of(result: object) -> dict[str, Any]:
 
 
 def html(result: object) -> str:
-    """Return a sentence and the tables of a result."""
+    """Return a sentence and the tables of a result as HTML."""
     from geodrake.report.html import notebook_html
 
     return notebook_html(page_of(result))
@@ -85,7 +85,7 @@ def samples(result: object) -> Columns:
 
 
 def figure(result: object) -> Figure:
-    """Return the figure that says most of a result."""
+    """Return the main figure of a result."""
     from geodrake.report.figures import bars_figure, chart_figure
 
     name, sections = view_of(result, "figure").figure, page_of(result).sections
@@ -96,15 +96,15 @@ def figure(result: object) -> Figure:
     return bars_figure(bars[name]) if name in bars else chart_figure(charts[name])
 
 
-Columns = Mapping[str, Sequence[str] | Array]  # name of a column -> its values, all of one length
+Columns = Mapping[str, Sequence[str] | Array]  # name of a column -> values, all of equal length
 
 
 def comparison_series(now: Comparison, before: Comparison | None = None) -> Columns:
-    """Return efforts of a comparison, N·m or N; NaN where a joint's sample was left out.
+    """Return efforts of a comparison, N·m or N; NaN where a joint's sample is missing.
 
     Returns:
-        `time`, `log`, and of every joint `measured`, `predicted` and `residual`, measured −
-        predicted; with a model before also `predicted_before` and `residual_before`.
+        `time`, `log`, and for every joint `measured`, `predicted` and `residual` (measured −
+        predicted); with a previous model also `predicted_before` and `residual_before`.
     """
     stages = {"": now} if before is None else {"_before": before, "": now}
     logs: dict[str, set[float]] = {}
@@ -121,14 +121,14 @@ def comparison_series(now: Comparison, before: Comparison | None = None) -> Colu
         predicted = {stage: np.full(len(rows), np.nan) for stage in stages}
         for stage, comparison in stages.items():
             for s in (s for s in comparison.series if s.joint == joint):
-                at = [index[s.log, time] for time in s.time.tolist()]
-                measured[at], predicted[stage][at] = s.measured, s.predicted
+                indices = [index[s.log, time] for time in s.time.tolist()]
+                measured[indices], predicted[stage][indices] = s.measured, s.predicted
         columns |= _joint_columns(joint, measured, predicted)
     return columns
 
 
 def _joint_columns(joint: str, measured: Array, predicted: Mapping[str, Array]) -> Columns:
-    """Return what was measured at a joint, and what is predicted and left at each stage."""
+    """Return the measured values of a joint, and the predictions and residuals of each stage."""
     columns = {f"{joint}.measured": measured}
     for stage, values in predicted.items():
         columns[f"{joint}.predicted{stage}"] = values
@@ -137,10 +137,10 @@ def _joint_columns(joint: str, measured: Array, predicted: Mapping[str, Array]) 
 
 
 def rollout_series(now: Rollout, before: Rollout | None = None) -> Columns:
-    """Return positions of a rollout, rad or m, window after window.
+    """Return positions of a rollout, rad or m, in successive windows.
 
     Returns:
-        As of a comparison, and the number of each `window`.
+        The columns of `comparison_series`, and the number of each `window`.
     """
     windows, stages = now.windows, {"": now} if before is None else {"_before": before, "": now}
     columns: dict[str, Sequence[str] | Array] = {
@@ -157,7 +157,7 @@ def rollout_series(now: Rollout, before: Rollout | None = None) -> Columns:
 
 
 def series_content(columns: Columns, path: Path) -> Content:
-    """Return what goes into a CSV or Parquet file; empty entries of a CSV were left out of fits."""
+    """Return the content of a CSV or Parquet file; missing samples are empty in CSV."""
     if path.suffix.lower() == ".parquet":
         arrow, parquet = optional("pyarrow", "logs"), optional("pyarrow.parquet", "logs")
         return partial(parquet.write_table, arrow.table(dict(columns)))
@@ -175,11 +175,11 @@ def series_content(columns: Columns, path: Path) -> Content:
 
 
 def check_series(path: Path) -> None:
-    """Refuse a file of samples that could not be written in the end."""
+    """Raise if a file of samples cannot be written here."""
     if path.suffix.lower() == ".parquet":
         optional("pyarrow", "logs")
 
 
 def optional(module: str, extra: str) -> Any:
-    """Return a module of a package that results can do without."""
+    """Return a module of an optional package."""
     return optional_package(module, extra, "tables of results", ArgumentError)

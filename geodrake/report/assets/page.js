@@ -1,7 +1,6 @@
 "use strict";
-// What a report page does beyond being read: plots to zoom and pan, tables to sort and filter, light
-// and dark. Without it the page says the same, without plots. Plots are uPlot's; their numbers are in
-// the page.
+// Interaction of report pages: plots (by uPlot) to zoom and pan, tables to sort and filter, light and
+// dark. Without scripts, pages have the same content except the plots.
 (() => {
   const all = (selector, root = document) => [...root.querySelectorAll(selector)];
 
@@ -18,7 +17,7 @@
     return made;
   }
 
-  // A span of the page becomes a button that looks the same.
+  // Turns a span of the page into a button of the same look.
   function pressable(span, act) {
     const made = button("", act);
     for (const { name, value } of span.attributes) made.setAttribute(name, value);
@@ -27,7 +26,7 @@
     return made;
   }
 
-  // Colours, which the style sheet knows
+  // Colours of the style sheet
 
   const probe = document.body.appendChild(element("i", { hidden: "" }));
   const color = (name) => {
@@ -72,7 +71,7 @@
 
   const SUPERSCRIPTS = "⁰¹²³⁴⁵⁶⁷⁸⁹";
 
-  // The number a cell begins with: 3.08 ± 0.01, −3 %, < 10⁻⁶, 1.2·10⁻⁷; null for words.
+  // The number at the start of a cell: 3.08 ± 0.01, −3 %, < 10⁻⁶, 1.2·10⁻⁷; null for words.
   function numberOf(text) {
     const plain = text.trim().replace(/−/g, "-").replace(/^[<>(]\s*/, "").replace(/^10(?=[⁻⁰-⁹¹²³])/, "1·10");
     const match = plain.match(/^-?[\d.]+/);
@@ -90,7 +89,7 @@
     return a.localeCompare(b, undefined, { numeric: true });
   }
 
-  // A cell without words has those of the row above, as where an effect has several parameters.
+  // An empty cell has the words of the row above, such as an effect with several parameters.
   function fill(rows) {
     rows.slice(1).forEach((row, k) => {
       const cell = row.cells[0];
@@ -147,9 +146,9 @@
 
   const plain = (value) => (value == null ? "" : String(Number(value.toPrecision(6))).replace("-", "−"));
 
-  const shown = new Set(); // keys of the stages shown, in all charts of the page
-  const LEAST = 5e-4; // share of the whole time that is still zoomed into
-  const CUT = 3; // residuals are cut off at so many times the largest of the best model
+  const shown = new Set(); // keys of the shown stages, in all charts of the page
+  const LEAST = 5e-4; // smallest share of the whole time in a zoomed view
+  const CUT = 3; // residuals are cut off at this multiple of the best model's largest
 
   class Chart {
     constructor(root) {
@@ -225,7 +224,7 @@
       for (const plot of this.plots) plot.setScale("x", { min: start, max: start + width });
     }
 
-    // Where one plot was zoomed by hand, the others look, too.
+    // Zooms all plots to the view of the one that was zoomed by hand.
     follow(low, high) {
       const [start, end] = this.view;
       if (Math.abs(low - start) + Math.abs(high - end) > 1e-6 * (end - start)) this.look(low, high);
@@ -323,7 +322,7 @@
       };
     }
 
-    // Ticks of each log's own time: where they are on the axis, and what they say.
+    // Ticks of each log's own time: their positions on the axis, and their labels.
     splits(u) {
       const [low, high] = [u.scales.x.min, u.scales.x.max];
       const rough = (80 * (high - low)) / Math.max(u.bbox.width / devicePixelRatio, 80);
@@ -335,7 +334,7 @@
         const count = found.length;
         for (let k = Math.ceil(Math.max(first, low - shift) / step - 1e-9); k * step <= end + 1e-9 * step; k++)
           found.push([k * step + shift, String(Number((k * step).toPrecision(8))).replace("-", "−")]);
-        const at = first + shift; // a short log begins somewhere, too
+        const at = first + shift; // a short log has a tick at its start
         if (found.length === count && at >= low && at <= high && !(found.at(-1)?.[0] > at - 0.5 * step))
           found.push([at, first.toFixed(1)]);
       }
@@ -411,7 +410,7 @@
       });
     }
 
-    // Pans with the mouse at a plot until it is released.
+    // Pans a plot with the mouse until it is released.
     drag(u, event) {
       const [low, high] = this.view;
       const start = event.clientX;
@@ -439,7 +438,7 @@
     }
   }
 
-  // Curves of a joint's plots. One that the page does not hold is the first one less its residual.
+  // Curves of a joint's plots. A curve without data is the first one minus its residual.
   function curvesOf(plots) {
     const curves = plots.map((plot) =>
       Object.fromEntries(Object.entries(plot.curves).map(([key, pack]) => [key, pack && decoded(pack)])));
@@ -450,7 +449,7 @@
     return curves;
   }
 
-  // Lowest and highest value that a plot shows, of the curves shown in the time shown.
+  // Range of a plot: that of the shown curves in the shown time.
   function spanOf(plot, u, low, high) {
     if (plot.span) return plot.span;
     if (low == null || high == null) return [-1, 1];
@@ -469,7 +468,7 @@
     return [-most, most];
   }
 
-  // A line that ends where a sample is missing (null), and skips instants of others (undefined).
+  // A line that breaks at missing samples (null), and skips those of other curves (undefined).
   function line(u, k, first, last) {
     const stroke = new Path2D();
     let begun = false;
@@ -498,7 +497,7 @@
         plot.series.forEach((series, k) => {
           if (k && plot.stages[k - 1] === key) plot.setSeries(k, { show });
         });
-    redraw(); // shades, too
+    redraw(); // for the shades
   }
 
   for (const root of all(".chart")) {
