@@ -326,7 +326,7 @@ def _collisions(
             )
         return None, ("self-collisions were not checked (--no-collisions)",)
     try:
-        alone = CollisionWorld(model, clearance=options.clearance)
+        world = CollisionWorld(model, clearance=options.clearance)
     except ArgumentError:
         if obstacles:
             raise ArgumentError(
@@ -348,13 +348,13 @@ def _collisions(
         obstacles = (floor_of(model, below=options.clearance + _UNDER), *obstacles)
     elif options.floor and not has_floor:
         floor = floor_of(model)
-        below = below_floor(alone.among((floor,)), model, limits, start)
+        below = below_floor(world.among((floor,)), model, limits, start)
         if below:
             notes = (f"no floor is assumed, as {below}",)
         else:
             obstacles = (floor, *obstacles)
             notes = ("the robot stays above its base (--no-floor to allow less)",)
-    return alone.among(obstacles) if obstacles else alone, notes
+    return world.among(obstacles) if obstacles else world, notes
 
 
 def _replay(result: ExcitationResult, path: Path) -> str:

@@ -55,8 +55,8 @@ class Activity:
         passed = time.monotonic() - self.begin
         if share is None or not _LEAST_SHARE <= share <= 1.0:
             return f"{passed:.0f} s"
-        left = passed * (1.0 - share) / share
-        return f"{100.0 * share:.0f} %, {passed:.0f} s, about {left:.0f} s left"
+        remaining = passed * (1.0 - share) / share
+        return f"{100.0 * share:.0f} %, {passed:.0f} s, about {remaining:.0f} s left"
 
 
 @dataclass(kw_only=True)
@@ -163,7 +163,7 @@ def step_teller(activity: Activity) -> Callable[[FoundStep], None]:
 
         count += 1
         activity.history(f"{count}  {found_words(step)}")
-        left = f", error {step.after / step.floor:.3g} times the noise" if step.floor > 0.0 else ""
-        activity(f"Searching{left}")
+        error = f", error {step.after / step.floor:.3g} times the noise" if step.floor > 0.0 else ""
+        activity(f"Searching{error}")
 
     return tell

@@ -304,8 +304,8 @@ class CollisionWorld:
         links = {} if links is None else instance(links, "links", Mapping)
         links = {body: instances(s, f"links[{body!r}]", Solid) for body, s in links.items()}
         number(clearance, "clearance", lower=0.0)
-        own = solids_of_file(model.path, model.given) if use_file else {}
-        self.clearance, self._model, self._solids = clearance, model, (own, links)
+        file_solids = solids_of_file(model.path, model.given) if use_file else {}
+        self.clearance, self._model, self._solids = clearance, model, (file_solids, links)
         self._place(obstacles)
 
     @typed
@@ -316,7 +316,7 @@ class CollisionWorld:
         return world
 
     def _place(self, obstacles: Sequence[Solid]) -> None:
-        model, builder, (own, links) = self._model, DiagramBuilder(), self._solids
+        model, builder, (file_solids, links) = self._model, DiagramBuilder(), self._solids
         self.obstacles = tuple(solid.name for solid in obstacles)
         plant, self._scene = AddMultibodyPlantSceneGraph(builder, 0.0)
         with drake_messages(), drake_errors(model.path):
@@ -325,7 +325,11 @@ class CollisionWorld:
         bodies = [plant.get_body(BodyIndex(i)) for i in range(plant.num_bodies())]
         by_scope = {body.scoped_name().get_full(): body for body in bodies}
         shapes: list[tuple[RigidBody, Sequence[Solid]]] = [
-            *((by_scope[scope], solids) for scope, solids in own.items() if scope in by_scope),
+            *(
+                (by_scope[scope], solids)
+                for scope, solids in file_solids.items()
+                if scope in by_scope
+            ),
             (plant.world_body(), obstacles),
         ]
         for name, further in links.items():
@@ -372,14 +376,9 @@ class CollisionWorld:
         return distances, tuple(names)
 
     def nearest(self, q: Array) -> dict[str, tuple[float, str]]:
-        """Return the least distances of a robot to itself and to each obstacle.
+        """Return "itself" or obstacle -> least distance over postures (N, nq), m, and the pair.
 
-        Args:
-            q: (N, nq) postures.
-
-        Returns:
-            "itself" or an obstacle's name -> least distance, m, and the names of the pair.
-            Obstacles beyond `clearance` + 0.05 m are omitted.
+        Obstacles beyond `clearance` + 0.05 m are omitted.
         """
         found: dict[str, tuple[float, str]] = {}
         for pairs in self._near(q):

@@ -210,7 +210,7 @@ def random_excitation(
 ) -> ExcitationTrajectory:
     """Return a random motion within a robot's limits, for example for validation.
 
-    Arguments and errors are those of `design_excitation`, which starts from such motions.
+    The arguments are those of `design_excitation`, which starts from such motions.
     """
     options = DesignOptions() if options is None else instance(options, "options", DesignOptions)
     objective = _objective_of(what, "e_optimality", "geometric")

@@ -37,9 +37,6 @@ class MotionLimits(Short):
         acceleration: (nv,) largest accelerations, rad/s² or m/s²; infinite for none.
         effort: (nv,) largest efforts, N·m or N; infinite for none.
         jerk: (nv,) largest changes of the acceleration, rad/s³ or m/s³; infinite for none.
-
-    Raises:
-        ArgumentError: A joint has no room to move, or is not limited in position or speed.
     """
 
     joints: tuple[str, ...]

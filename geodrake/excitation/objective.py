@@ -234,10 +234,6 @@ class Objective(Short):
         """Return `Criterion.objective` of a motion, and its gradient with respect to the motion.
 
         [Lee2019] Eqs. (4.4.48) to (4.4.52), by the chain rule over the regressor's entries.
-
-        Raises:
-            ArgumentError: There are fewer measurements than base parameters, or the motion does
-                not excite all of them.
         """
         measurement = self.target.measure(motion)
         A, K = self.factor(measurement), self.normalizing_map

@@ -65,9 +65,6 @@ def make_stance(
         margin: Share of the polygon of the feet, from its middle, in which the zero-moment point
             stays.
         limits: Limits of the motors; `motion_limits(robot, bounded=True)` if None.
-
-    Raises:
-        ArgumentError: The robot has no free base, or cannot stand in this posture.
     """
     instance(robot, "robot", RobotModel)
     feet = instances(feet, "feet", (str, Foot))
@@ -255,16 +252,16 @@ def _feet_of(robot: RobotModel, feet: Sequence[str | Foot], context: Context) ->
     """Return feet, deriving named ones from their lowest collision geometry."""
     named = any(isinstance(foot, str) for foot in feet)
     solids = solids_of_file(robot.path, robot.given) if named else {}
-    found = []
+    contacts = []
     for foot in feet:
         if not isinstance(foot, str):
-            found.append(foot)
+            contacts.append(foot)
             continue
         frame = _frame_of(robot.plant, foot)
         shapes = solids.get(frame.body().scoped_name().get_full(), [])
         X_FB = frame.GetFixedPoseInBodyFrame().inverse()
-        found.append(_lowest(foot, shapes, X_FB, frame.CalcPoseInWorld(context)))
-    return tuple(found)
+        contacts.append(_lowest(foot, shapes, X_FB, frame.CalcPoseInWorld(context)))
+    return tuple(contacts)
 
 
 def _lowest(name: str, solids: Sequence[Solid], X_FB: RigidTransform, X_WF: RigidTransform) -> Foot:

@@ -209,7 +209,7 @@ def _with_effects(
     parts: Sequence[tuple[Effect, Array]],
 ) -> MotionGradient:
     """Return the gradient of Σ rows ∘ Y + Σ weights ∘ Y_e; `rows` is modified in place."""
-    at, load = model.single_places, np.zeros(motion.v.shape)
+    index, load = model.single_places, np.zeros(motion.v.shape)
     gradients, remaining = [], []
     for effect, weights in parts:
         gradient = effect.gradient(seen, weights)
@@ -225,7 +225,7 @@ def _with_effects(
         rows += load[:, :, None] * model.total_phi.ravel()
     total = inverse_dynamics_regressor_gradient(model.tree, motion.q, motion.v, motion.vd, rows)
     for gradient in gradients:
-        total.q[:, at] += gradient.q[:, at]
+        total.q[:, index] += gradient.q[:, index]
         total.v[:] += gradient.v
         total.vd[:] += gradient.vd
     if not remaining:
@@ -297,14 +297,14 @@ def calc_motion_gradient(
             by_w, by_wd, by_a = vector(by[i].w), vector(by[i].wd), vector(by[i].a)
             w_P, _, wd_P, _ = inboard_motion(mobilizer, motions)
             # The reverse of `geodrake.robot.recursion.move`, in P.
-            R, p, own = motion.R_PB, vector(motion.p_PMo), mobilizer.velocities
+            R, p, span = motion.R_PB, vector(motion.p_PMo), mobilizer.velocities
             by_w, by_wd, by_a = times(R, by_w), times(R, by_wd), times(R, by_a)
             by_p = add(cross(by_a, wd_P), cross(w_P, cross(w_P, by_a)))
             turning, sliding = add(by_w, cross(by_wd, w_P)), scale(2.0, cross(by_a, w_P))
-            for k in range(own[1]):
+            for k in range(span[1]):
                 s, t = column(mobilizer.angular, k), column(mobilizer.linear, k)
-                by_v[n, own[0] + k] += dot(s, turning) + dot(t, sliding)
-                by_vd[n, own[0] + k] += dot(s, by_wd) + dot(t, by_a)
+                by_v[n, span[0] + k] += dot(s, turning) + dot(t, sliding)
+                by_vd[n, span[0] + k] += dot(s, by_wd) + dot(t, by_a)
             parent = mobilizer.parent
             if parent >= 0:
                 for k in range(mobilizers[parent].count):
@@ -313,9 +313,9 @@ def calc_motion_gradient(
                     by_s = add(row(by_turn, parent, k), add(by_s, cross(p, by_t)))
                     put_row(by_turn, parent, k, by_s)
                     put_row(by_slide, parent, k, add(row(by_slide, parent, k), by_t))
-                rates = combination(mobilizer.angular, v, n, own)
+                rates = combination(mobilizer.angular, v, n, span)
                 by_w = add(by_w, add(cross(rates, by_wd), by_turning(by_a, w_P, p)))
-                rates = combination(mobilizer.linear, v, n, own)
+                rates = combination(mobilizer.linear, v, n, span)
                 by_w = add(by_w, scale(2.0, cross(rates, by_a)))
                 put(by[parent].w, add(vector(by[parent].w), by_w))
                 by_wd = add(by_wd, cross(p, by_a))

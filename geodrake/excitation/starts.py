@@ -135,12 +135,12 @@ def possible_postures(
     if not holds.any():
         least = int(np.argmin((efforts / limits.effort).max(axis=1)))
         i = int(np.argmax(efforts[least] / limits.effort))
-        at = ", ".join(
+        words = ", ".join(
             f"{n} {x:.3g}" for n, x in zip(model.joints, postures[least].tolist(), strict=True)
         )
         raise ArgumentError(
             f"The robot cannot hold itself against gravity: in the best of {_POSTURES} "
-            f"postures ({at}), joint {limits.joints[i]!r} needs an effort of "
+            f"postures ({words}), joint {limits.joints[i]!r} needs an effort of "
             f"{efforts[least, i]:.4g}, but its limit is {limits.effort[i]:.4g}.",
             advice="Raise the effort limits, or check masses and units of the model.",
             joint=limits.joints[i],

@@ -231,11 +231,7 @@ class Separation(Objective):
         return np.sort(self.separations(motion))
 
     def value_and_gradient(self, motion: Motion) -> tuple[float, MotionGradient]:
-        """Return the criterion to minimize, and its gradient with respect to the motion.
-
-        Raises:
-            ArgumentError: Some pair is indistinguishable on this motion.
-        """
+        """Return the criterion to minimize, and its gradient with respect to the motion."""
         measurement = self.target.measure(motion)
         separations, solutions = self._solve(measurement)
         alike = np.flatnonzero(~(separations > _LEAST * len(motion)))

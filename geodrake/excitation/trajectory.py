@@ -149,10 +149,6 @@ def write_trajectory(
         path: `.csv` or `.npz` for a log with the predicted efforts, `.yaml` for a ROS
             trajectory_msgs/JointTrajectory for `ros2 topic pub`, `.drake.yaml` for a Drake
             BsplineTrajectory for `read_drake_trajectory`.
-
-    Raises:
-        OutputError: The suffix is not supported, or the file cannot be written.
-        ArgumentError: The samples are not ordered in time.
     """
     path = file_path(path)
     write_whole(path, trajectory_content(trajectory, path, model, rate=rate))
@@ -161,7 +157,7 @@ def write_trajectory(
 def trajectory_content(
     trajectory: ExcitationTrajectory, path: str | Path, model: RobotModel, *, rate: float = 100.0
 ) -> Content:
-    """Return the content of the file; see `write_trajectory` for arguments and errors."""
+    """Return the content of the file; see `write_trajectory` for the arguments."""
     instance(trajectory, "trajectory", ExcitationTrajectory)
     instance(model, "model", RobotModel)
     path = file_path(path)

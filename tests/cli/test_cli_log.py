@@ -163,7 +163,7 @@ def test_a_failed_reading_proposes_a_mapping(tmp_path):
     assert nrms(log, "--mapping", proposal) == pytest.approx(expected, rel=1e-9)
     proposal.write_text(proposal.read_text().replace("x3", "x2"))
     edited = proposal.read_text()
-    assert "which exists" in refused("compare", PENDULUM, log)
+    assert f"Edit the existing {proposal}" in refused("compare", PENDULUM, log)
     assert "uses column 'x2' twice" in refused("compare", PENDULUM, log, "--mapping", proposal)
     assert proposal.read_text() == edited
 
