@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 
 _MOST_STEPS = 40
 _MOST_COUNTS = 4
+_RECOUNTS = 2
 _OPTIMISTIC = 0.3
 """Least effective samples per row in an optimistic climb: effects that are still missing make
 residuals vary slowly, which lowers their effective sample size."""
@@ -77,8 +78,9 @@ def settled(model: LogModel, fit: Fit) -> Fit:
     """
     for _ in range(_MOST_COUNTS):
         model.level_noise(fit)
+        fit = _recounted(model, fit)
         shares, previous = model.shares(fit), fit.choice.key
-        better, seen = _refitted(model, fit, shares), {previous}
+        better, seen = fit, {previous}
         for _ in range(_MOST_STEPS):
             choices = [choice for choice in neighbours(model, better) if choice.key not in seen]
             fits = model.ranked(choices, shares, better.noise)
@@ -135,6 +137,14 @@ def _potential(model: LogModel, fit: Fit, other: Fit, shares: Array) -> float:
 def _refitted(model: LogModel, fit: Fit, shares: Array) -> Fit:
     found = model.fit(fit.choice, shares, fit.noise)
     return fit if found is None else found
+
+
+def _recounted(model: LogModel, fit: Fit) -> Fit:
+    """Refit by the effective sample sizes of the fit's own residuals, whatever led to it."""
+    for _ in range(_RECOUNTS):
+        model.forget_shares(fit)
+        fit = _refitted(model, fit, model.shares(fit))
+    return fit
 
 
 def gain_of(

@@ -694,6 +694,10 @@ class LogModel:
             self._shares[key] = np.clip(samples / self.rows, _LEAST_SHARE, 1.0)
         return self._shares[key]
 
+    def forget_shares(self, fit: Fit) -> None:
+        """Forget the shares of fits of the same explanation, whose weights may have been others."""
+        self._shares.pop(fit.choice.key, None)
+
     def level_noise(self, fit: Fit) -> None:
         """Prevent other delays than a fit's from gaining by smaller noise at their instants.
 
