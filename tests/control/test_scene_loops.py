@@ -75,7 +75,7 @@ class TestTracking:
         builder = DiagramBuilder()
         robot = RobotInstance(scene(builder), "arm")
         loop = add_adaptive_loop(builder, robot, passive(), motion())
-        with pytest.raises(ArgumentError, match="one robot only"):
+        with pytest.raises(ArgumentError, match="with a single robot"):
             AdaptationView.AddToBuilder(builder, loop, None)
 
     def test_ports_alone_have_no_effects_and_their_own_joints(self):
