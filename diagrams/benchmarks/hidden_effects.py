@@ -29,6 +29,7 @@ from diagrams.benchmarks.simulated.scoring import (
     calibration,
     median,
     share,
+    show_lines,
     step_row,
     told,
 )
@@ -654,7 +655,7 @@ def main() -> None:
     rows = run_draws(parser, options, run_draw, wanted)
     lines = [*bars(rows), *kind_lines(rows), *coverage_lines(rows)]
     smallest = smallest_lines([row for row in rows if row["case"] == SMALLEST])
-    show("Hidden effects", told(lines))
+    show_lines("Hidden effects", lines)
     if smallest:
         show("Smallest effect found in 9 of 10 logs", smallest)
     write(options, {"lines": told(lines), "smallest": smallest, "rows": rows})

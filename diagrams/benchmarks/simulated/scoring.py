@@ -166,6 +166,29 @@ def told(lines: Sequence[Line]) -> list[dict[str, Any]]:
     return [{**asdict(line), "reached": line.reached} for line in lines]
 
 
+def show_lines(title: str, lines: Sequence[Line]) -> None:
+    """Print lines, shares in percent."""
+    shown = []
+    for line in lines:
+        is_share = "seconds" not in line.figure and "floor" not in line.figure
+        number = ("{:.1%}" if is_share else "{:.2f}").format
+        asked = None if line.bar is None else f"{'≤' if line.most else '≥'} {number(line.bar)}"
+        if line.bar is not None and line.highest is not None:
+            asked = f"{number(line.bar)} – {number(line.highest)}"
+        is_measured = line.value is not None
+        shown.append(
+            {
+                "figure": line.figure,
+                "asked": asked,
+                "reached": number(line.value) if is_measured else None,
+                "interval": f"{number(line.low)} – {number(line.high)}" if is_measured else None,
+                "of": line.logs,
+                "": {True: "reached", False: "missed", None: ""}[line.reached],
+            }
+        )
+    show(title, shown)
+
+
 def tell_draws(
     options: Namespace,
     title: str,
@@ -174,7 +197,7 @@ def tell_draws(
     is_missed: Callable[[Row], bool] = is_missed,
 ) -> None:
     """Print the report of robots and the draws in which something was missed, and write them."""
-    show(title, told(lines))
+    show_lines(title, lines)
     missed = [missed_words(row) for row in rows if is_missed(row)]
     print(f"Missed, {len(missed)} of {len(rows)} draws:", *missed, sep="\n- ")
     write(options, {"lines": told(lines), "rows": rows})
