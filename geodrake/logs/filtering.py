@@ -1,9 +1,9 @@
-"""Signals: zero-phase filtering with decimation, spectra, and the bandwidth of a motion.
+"""Zero-phase filtering with decimation, spectral densities, and the bandwidth of a motion.
 
-Signals are (N, n), with samples along axis 0; rates and bandwidths are in Hz, and spectral
-densities one-sided, in squared units of the signal per Hz. Measured efforts and regressor columns
-go through the same `ZeroPhaseFilter`, so that filtering changes neither the parameters nor the
-model (1) of the design, and what is left of white noise is nearly white again after decimation.
+Signals are (N, n), with samples along axis 0. Rates and bandwidths are in Hz, and spectral
+densities are one-sided, in squared units of the signal per Hz. Measured efforts and regressor
+columns pass through the same `ZeroPhaseFilter`, so that filtering changes neither the parameters
+nor the model (1) of the design. Filtered white noise is nearly white again after decimation.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from geodrake.compiling import contiguous, summing
 from geodrake.errors import ArgumentError, LogError
 
 HANN = (0.5, -0.5)
-"""Cosines of the usual window of a spectrum."""
+"""Cosine coefficients of the Hann window."""
 
 SHARP = (0.35875, -0.48829, 0.14128, -0.01168)
-"""Those of Blackman and Harris, whose side lobes, below −92 dB, hide nothing of a spectrum."""
+"""Cosine coefficients of the Blackman–Harris window, with side lobes below −92 dB."""
 
 
 def spectral_density(
@@ -40,30 +40,30 @@ def spectral_density(
     window: Sequence[float] = HANN,
     centered: bool = True,
 ) -> tuple[Array, Array]:
-    """Return frequencies (K,), Hz, and spectral densities (K, n) of signals, by Welch's method."""
-    turns = 2.0 * np.pi * np.arange(length) / length
-    weights = np.array(window) @ np.cos(np.outer(np.arange(len(window)), turns))
+    """Estimate spectral densities (K, n) at frequencies (K,), Hz, by Welch's method."""
+    angle = 2.0 * np.pi * np.arange(length) / length
+    weights = np.array(window) @ np.cos(np.outer(np.arange(len(window)), angle))
     parts = sliding_window_view(np.asarray(signal, float), length, axis=0)[:: length - length // 2]
     parts = parts - parts.mean(axis=2, keepdims=True) if centered else parts
     power = np.asarray(np.square(np.abs(rfft(parts * weights))).mean(axis=0).T)
-    power[1 : (length + 1) // 2] *= 2.0  # of negative frequencies, too
+    power[1 : (length + 1) // 2] *= 2.0  # includes negative frequencies
     frequency = np.linspace(0.0, (len(power) - 1) * rate / length, len(power))
     return frequency, power / (rate * float(np.square(weights).sum()))
 
 
-_LEAST_BINS = 12  # of a spectrum in a band
-_PARTS = 4  # of a passband
+_LEAST_BINS = 12  # frequencies in a band
+_PARTS = 4  # number of parts of a passband
 _STEP = 1.2  # ratio of the frequencies of neighbouring bands
-_WIDE = 3  # steps over which a spectrum falls
+_WIDE = 3  # bands over which a falling spectrum is measured
 
 
 def quiet_density(
     signal: ArrayLike, rate: float, bandwidth: float, *, differences: int = 0
 ) -> Array:
-    """Return (n,) densities of white noise of signals: of the quietest band above a bandwidth.
+    """Estimate the white-noise densities (n,) of signals from the quietest band above a bandwidth.
 
-    They are differenced first, as often as asked, so that what is large and slow in them does not
-    leak into the spectrum; the density is that of the signals themselves.
+    Signals are differenced `differences` times first, so that large slow components do not leak
+    into the spectrum. The density returned is that of the signals themselves.
     """
     changes = np.diff(np.asarray(signal, float), differences, axis=0)
     length = min(len(changes), max(64, round(8 * rate / bandwidth)))
@@ -72,7 +72,7 @@ def quiet_density(
     density = density / (2.0 * np.sin(np.pi * frequency / rate)[:, None]) ** (2 * differences)
     lowest, highest = 1.6 * bandwidth, 0.45 * rate
     averages = max(1.0, 0.9 * (2 * len(changes) / length - 1))
-    # The median of a mean of that many exponentials, over its mean.
+    # Median of the average of that many exponential variables, relative to its mean.
     median = gammaincinv(averages, 0.5) / averages
     bands = max(1, int(np.log2(highest / lowest) * 2))
     edges = np.geomspace(lowest, highest, bands + 1)
@@ -88,22 +88,22 @@ def quiet_density(
 
 
 def passband_density(signal: ArrayLike, rate: float, bandwidth: float) -> tuple[Array, Array]:
-    """Return (n,) mean densities below a bandwidth, and (n,) those of its quietest part."""
+    """Return the mean densities (n,) below a bandwidth, and those (n,) of its quietest part."""
     signal = np.asarray(signal, float)
     length = min(len(signal), max(64, round(16 * rate / bandwidth)))
     frequency, density = spectral_density(signal, rate, length)
-    # The slowest bins lack what is taken away with the mean.
+    # Subtracting the mean removes power from the lowest bins.
     within = np.flatnonzero((frequency > 1.5 * rate / length) & (frequency < bandwidth))
     parts = [density[part].mean(axis=0) for part in np.array_split(within, _PARTS) if len(part)]
     return density[within].mean(axis=0), np.min(parts, axis=0)
 
 
 def steepest_fall(signal: ArrayLike, rate: float, bandwidth: float) -> Array:
-    """Return (n,) frequencies, Hz, at which spectra fall most, as at the end of a filter."""
+    """Return the frequencies (n,), Hz, at which spectra fall most, as at a filter's cutoff."""
     signal = np.asarray(signal, float)
     length = min(len(signal), max(64, round(32 * rate / bandwidth)))
     frequency, density = spectral_density(signal, rate, length, window=SHARP)
-    lowest, highest = 6.0 * rate / length, 0.45 * rate  # each band has a bin of the spectrum
+    lowest, highest = 6.0 * rate / length, 0.45 * rate  # so that each band contains a bin
     edges = lowest * _STEP ** np.arange(int(np.log(highest / lowest) / np.log(_STEP)))
     logs = np.log(np.maximum(density, 1e-300))
     bands = [(frequency >= low) & (frequency < _STEP * low) for low in edges]
@@ -114,21 +114,21 @@ def steepest_fall(signal: ArrayLike, rate: float, bandwidth: float) -> Array:
     return np.asarray(edges[fall.argmax(axis=0)] * _STEP ** (0.5 * (_WIDE + 1)))
 
 
-LEAST_SPECTRUM = 32  # samples that a spectrum needs
+LEAST_SPECTRUM = 32  # fewest samples for a spectrum
 HIGHEST_BANDWIDTH = 0.25  # of the sampling rate: above it, splines and jitter spoil derivatives
-HIGHEST_MOTION = 0.5  # of the sampling rate, of motion that is filtered with the efforts later
+HIGHEST_MOTION = 0.5  # of the sampling rate, for a motion that is filtered with the efforts later
 _LARGEST_DECIMATION = 10_000  # the kernel then has 120,000 samples
 _KAISER_SHAPE = 6.76  # 70 dB: the passband is flat to 3e-4
 _RESPONSE_POINTS = 257
 _HALFWIDTH = 6  # in output samples; the passband then ends at 0.64 of the bandwidth
 _LARGEST_EXCESS = 1.04  # output rate over 2·bandwidth; above it the filtered noise is correlated
-_DYNAMIC_RANGE = 1e-8  # of the acceleration's spectrum; a motion below this share is no matter
-_RISE = 2.0  # of the power of positions: their noise rises by less by chance
-_PART = 0.1  # of the largest power of velocities: what has more is a part of the motion
-_FALL = 10.0  # of the power of positions: their noise falls by less where it is no motion
-_LEAST_MARGIN, _LARGEST_MARGIN = 4.0, 10.0  # bandwidth over that of the velocity
+_DYNAMIC_RANGE = 1e-8  # of the acceleration's spectrum; a motion below this share is negligible
+_RISE = 2.0  # of the power of positions: chance makes their noise rise by less
+_PART = 0.1  # of the largest power of velocities: a larger share belongs to the motion
+_FALL = 10.0  # of the power of positions: noise alone falls by less
+_LEAST_MARGIN, _LARGEST_MARGIN = 4.0, 10.0  # bandwidth relative to that of the velocity
 _WELCH_SECONDS = 20.0
-_LEAST_SAMPLES = 6  # of a quintic spline
+_LEAST_SAMPLES = 6  # for a quintic spline
 _SAME_INSTANT = 1e-4  # of the time between samples
 
 
@@ -136,10 +136,10 @@ _SAME_INSTANT = 1e-4  # of the time between samples
 class ZeroPhaseFilter:
     """Symmetric low-pass filter (windowed sinc) with decimation."""
 
-    half: Array  # (L+1,) right half of the kernel, centre first; the whole sums to one
-    decimation: int  # input samples for each output sample
+    half: Array  # (L+1,) right half of the kernel, centre first; the whole kernel sums to one
+    decimation: int  # input samples per output sample
     period: float  # time between input samples, s
-    bandwidth: float  # frequency that passes with half its amplitude, Hz
+    bandwidth: float  # frequency at which the gain is one half, Hz
 
     @property
     def kernel(self) -> Array:
@@ -148,7 +148,7 @@ class ZeroPhaseFilter:
 
     @property
     def halfwidth(self) -> int:
-        """L: how many input samples an output sees before, and after, its own instant."""
+        """Number L of input samples before, and after, an output's instant that affect it."""
         return len(self.half) - 1
 
     @property
@@ -158,30 +158,30 @@ class ZeroPhaseFilter:
 
     @property
     def noise_gain(self) -> float:
-        """Standard deviation of white noise of unit standard deviation, once filtered."""
+        """Standard deviation of filtered white noise of unit standard deviation."""
         return float(np.linalg.norm(self.kernel))
 
     def response(self, frequency: ArrayLike) -> Array:
-        """Return the gain for sines of some frequencies, Hz."""
+        """Return the gain at frequencies, Hz."""
         return np.interp(np.abs(frequency), *self._passed, right=0.0)
 
     @cached_property
     def _passed(self) -> tuple[Array, Array]:
-        """Frequencies, Hz, and the amplitude that is left at them."""
+        """Frequencies, Hz, and the gains at them."""
         grid = np.linspace(0.0, 2.0 * self.bandwidth, _RESPONSE_POINTS)
         angle = 2.0 * np.pi * self.period * grid[:, None] * np.arange(1, len(self.half))
         return grid, self.half[0] + 2.0 * np.cos(angle) @ self.half[1:]
 
     def output_count(self, n: int) -> int:
-        """Return how many outputs `n` input samples support fully."""
+        """Return the number of outputs that `n` input samples fully support."""
         return max(0, (n - 2 * self.halfwidth - 1) // self.decimation + 1)
 
     def output_indices(self, n: int) -> NDArray[np.intp]:
-        """Return (K,) index, among `n` input samples, of the instant of each output of `apply`."""
+        """Return the indices (K,) of the input samples at which `apply` has its outputs."""
         return self.halfwidth + self.decimation * np.arange(self.output_count(n))
 
     def apply(self, columns: ArrayLike, at: NDArray[np.intp] | None = None) -> Array:
-        """Filter and decimate (N, ...) to (K, ...), at `output_indices(N)`, or at some of them."""
+        """Filter and decimate (N, ...) to (K, ...), at all `output_indices(N)` or those `at`."""
         columns = np.asarray(columns, float)
         instants = self.output_indices(len(columns))
         instants = instants if at is None else instants[at]
@@ -191,47 +191,47 @@ class ZeroPhaseFilter:
         return outputs.T.reshape(len(instants), *columns.shape[1:])
 
     def chunks(self, n: int, size: int) -> Iterator[tuple[slice, int]]:
-        """Yield input slices, whose outputs together are those of all, and how many each has.
+        """Yield input slices that together give all outputs, and the number of outputs of each.
 
-        Slices have `size` samples at most, or what one output needs.
+        Slices have at most `size` samples, but at least as many as one output needs.
         """
         count, window = self.output_count(n), 2 * self.halfwidth + 1
-        each = max(1, self.output_count(size))
-        for begin in range(0, count, each):
-            outputs = min(each, count - begin)
+        most = max(1, self.output_count(size))
+        for begin in range(0, count, most):
+            outputs = min(most, count - begin)
             start = begin * self.decimation
             yield slice(start, start + (outputs - 1) * self.decimation + window), outputs
 
     def smooth(self, signal: ArrayLike) -> Array:
-        """Low-pass (N, ...) at the full rate; the first and last L lean on an odd reflection."""
+        """Low-pass (N, ...) at the full rate; the first and last L use an odd reflection."""
         signal = np.asarray(signal, float)
         padding = [(self.halfwidth,) * 2] + [(0, 0)] * (signal.ndim - 1)
         padded = np.pad(signal, padding, mode="reflect", reflect_type="odd")
         size = next_fast_len(len(padded), real=True)
-        passed = rfft(self.kernel, size).reshape(-1, *(1,) * (signal.ndim - 1))
-        smooth = irfft(rfft(padded, size, axis=0) * passed, size, axis=0)
+        response = rfft(self.kernel, size).reshape(-1, *(1,) * (signal.ndim - 1))
+        smooth = irfft(rfft(padded, size, axis=0) * response, size, axis=0)
         return np.asarray(smooth[2 * self.halfwidth : len(padded)])
 
 
 @summing
 def calc_outputs(kernel: Array, columns: Array, at: NDArray[np.intp], outputs: Array) -> None:
-    """Write averages (k, K) of columns (k, N) around instants (K,), by a kernel (2L+1,)."""
+    """Compute weighted averages (k, K) of columns (k, N) around samples (K,), kernel (2L+1,)."""
     for k in range(len(columns)):
         for n in range(len(at)):
             first, total = at[n] - len(kernel) // 2, 0.0
-            seen = columns[k, first : first + len(kernel)]
+            window = columns[k, first : first + len(kernel)]
             for i in range(len(kernel)):
-                total += kernel[i] * seen[i]
+                total += kernel[i] * window[i]
             outputs[k, n] = total
 
 
 def design_filter(
     period: float, bandwidth: float, *, highest: float = HIGHEST_BANDWIDTH
 ) -> ZeroPhaseFilter:
-    """Return a low-pass filter that decimates to about twice its bandwidth.
+    """Design a low-pass filter that decimates to about twice its bandwidth.
 
-    The bandwidth, Hz, is the nearest to the wanted one that whole-number decimation leaves white:
-    20 % off at worst, decimating by 2 or 3, and 5 % by 10. The `highest` is a share of the rate.
+    Its bandwidth, Hz, is the nearest to the requested one at which integer decimation keeps noise
+    white: at worst 20 % off at a decimation by 2 or 3, 5 % at 10. `highest` is a share of the rate.
     """
     if not 0.0 < period < np.inf:
         raise ArgumentError(f"A sampling period must be positive; got {period:g} s.")
@@ -252,9 +252,9 @@ def design_filter(
 
 
 def differentiate(signal: ArrayLike, period: float) -> Array:
-    """Return the time derivative of a smooth signal of 6 samples or more, by its quintic spline.
+    """Differentiate a smooth signal of at least 6 samples with respect to time by a quintic spline.
 
-    It has no lag, and a relative error below 1e-3 up to a quarter of the rate.
+    The derivative has no lag, and a relative error below 1e-3 up to a quarter of the rate.
     """
     signal = np.asarray(signal, float)
     if len(signal) < _LEAST_SAMPLES:
@@ -267,7 +267,7 @@ def differentiate(signal: ArrayLike, period: float) -> Array:
 
 
 def spline_through(signal: Array) -> BSpline:
-    """Return the quintic spline through two samples (N, ...) or more, over their number."""
+    """Return the quintic spline through samples (N, ...), N ≥ 2, as a function of their index."""
     degree = min(5, len(signal) - 1)
     samples = np.arange(len(signal), dtype=float)
     return make_interp_spline(samples, signal, k=degree - (degree % 2 == 0), axis=0)
@@ -276,13 +276,13 @@ def spline_through(signal: Array) -> BSpline:
 def resample(time: Array, signals: Array, instants: Array, *, sharp: bool = False) -> Array:
     """Interpolate jittered signals (N, n) at other instants (K,); existing samples are unchanged.
 
-    Signals that are `sharp`, as efforts, are interpolated linearly, without overshoot; others, as
-    positions and velocities, by a cubic spline.
+    `sharp` signals, such as efforts, are interpolated linearly, without overshoot. Others, such as
+    positions and velocities, are interpolated by a cubic spline.
     """
     start = int(np.argmin(np.abs(time - instants[0]))) if len(instants) else 0
     same = time[start : start + len(instants)]
-    near = _SAME_INSTANT * (time[-1] - time[0]) / max(len(time) - 1, 1)
-    if len(same) == len(instants) and (np.abs(same - instants) <= near).all():
+    tolerance = _SAME_INSTANT * (time[-1] - time[0]) / max(len(time) - 1, 1)
+    if len(same) == len(instants) and (np.abs(same - instants) <= tolerance).all():
         return signals[start : start + len(instants)]
     if sharp:
         return np.stack([np.interp(instants, time, column) for column in signals.T], 1)
@@ -290,12 +290,12 @@ def resample(time: Array, signals: Array, instants: Array, *, sharp: bool = Fals
 
 
 def choose_bandwidth(pieces: Sequence[tuple[Array, float]]) -> float:
-    """Return the bandwidth that contains the motion and little of the position's noise.
+    """Choose the bandwidth that contains the motion and little of the position noise.
 
-    The spectrum of the acceleration falls where the motion ends and rises again, as f⁴, with the
-    noise of positions. The bandwidth is where it is lowest between 4 and 10 times the frequency
-    that holds 99.9 % of the velocity's power, and at most a quarter of the rate. Joints count
-    alike. Pieces are positions (N, n) of moving joints, and their sampling period, s.
+    The acceleration's spectrum falls where the motion ends, and rises again with the position
+    noise, as f⁴. The bandwidth is at its minimum between 4 and 10 times the frequency below which
+    lie 99.9 % of the velocity's power, and at most a quarter of the rate. All joints have equal
+    weight. Pieces are positions (N, n) of moving joints, and their sampling period, s.
     """
     pieces = [(position, period) for position, period in pieces if len(position) >= LEAST_SPECTRUM]
     if not pieces:
@@ -308,46 +308,46 @@ def choose_bandwidth(pieces: Sequence[tuple[Array, float]]) -> float:
     edges = highest * 2.0 ** (np.arange(-np.floor(6 * np.log2(highest * longest / 4)), 1.0) / 6)
     frequency = np.sqrt(edges[1:] * edges[:-1])
     power = _acceleration_power(pieces, edges)
-    power[1:-1] = np.exp(  # the valley is wide: a lone low bin must not decide
+    power[1:-1] = np.exp(  # the valley is wide: a single low bin must not decide
         0.25 * np.log(power[:-2]) + 0.5 * np.log(power[1:-1]) + 0.25 * np.log(power[2:])
     )
     velocity = power / frequency**2
     valley = _end_of_motion(power, frequency)
-    held = np.cumsum((velocity * frequency)[: valley + 1])
-    motion = frequency[np.searchsorted(held, 0.999 * held[-1])]
+    power_below = np.cumsum((velocity * frequency)[: valley + 1])
+    motion = frequency[np.searchsorted(power_below, 0.999 * power_below[-1])]
     inside = (frequency >= _LEAST_MARGIN * motion) & (frequency <= _LARGEST_MARGIN * motion)
     if not inside.any():
         return float(highest)
-    # Below the dynamic range everything is equally good, and the lowest frequency is taken.
+    # Below the dynamic range all frequencies are equally good, and the lowest is chosen.
     return float(frequency[inside][np.argmin(power[inside])])
 
 
 def _end_of_motion(power: Array, frequency: Array) -> int:
-    """Return where a spectrum (m,) of accelerations is lowest between the motion and the noise.
+    """Return the index at which an acceleration spectrum (m,) is lowest between motion and noise.
 
-    The noise of positions is white at most: what has more power farther on, or much less that is a
-    good part of the motion still, as a gait beside a slow sway, is none.
+    Position noise is at most white. Bands beyond the minimum with clearly more power belong to the
+    motion; so do bands with much less if they are a large part of it, as a gait beside a slow sway.
     """
     position, velocity = power / frequency**4, power / frequency**2
     peak = int(np.argmax(velocity))
     large = velocity >= _PART * velocity[peak]
     while True:
         valley = peak + int(np.argmin(power[peak:]))
-        rest = position[valley:] / position[valley]
-        beyond = np.flatnonzero((rest > _RISE) | ((rest < 1.0 / _FALL) & large[valley:]))
+        relative = position[valley:] / position[valley]
+        beyond = np.flatnonzero((relative > _RISE) | ((relative < 1.0 / _FALL) & large[valley:]))
         if not len(beyond):
             return valley
         peak = valley + int(beyond[-1])
 
 
 def _acceleration_power(pieces: Sequence[tuple[Array, float]], edges: Array) -> Array:
-    """Return (m,) spectrum of the acceleration in bands, the geometric mean over joints, peak 1."""
+    """Return the acceleration spectrum (m,) in bands: geometric mean over joints, peak 1."""
     bands = np.diff(edges)[:, None]
     total = np.zeros((len(bands), pieces[0][0].shape[1]))
     for position, period in pieces:
         acceleration = np.diff(position, 2, axis=0) / period**2
         length = min(len(acceleration), round(_WELCH_SECONDS / period))
-        # Differences take away the trend and most of the dynamic range; the window does the rest.
+        # Differences remove the trend and most of the dynamic range; the window does the rest.
         frequency, density = spectral_density(
             acceleration, 1 / period, length, window=SHARP, centered=False
         )
@@ -355,6 +355,6 @@ def _acceleration_power(pieces: Sequence[tuple[Array, float]], edges: Array) -> 
         at_edges = [np.interp(edges, frequency, column) for column in cumulative.T]
         total += len(position) * period * np.diff(np.stack(at_edges, 1), axis=0) / bands
     peaks = np.max(total, axis=0)
-    # A joint without any motion in these pieces is as good at all frequencies.
+    # A joint that does not move in these pieces has no preference for a frequency.
     relative = np.maximum(total / np.where(peaks > 0.0, peaks, 1.0), _DYNAMIC_RANGE)
     return np.exp(np.log(relative).mean(axis=1))

@@ -27,15 +27,15 @@ from scipy.interpolate import make_interp_spline
 from geodrake.boundary.arguments import Array
 
 AXES, QUATERNION, ANGLES = ("x", "y", "z"), ("w", "x", "y", "z"), ("roll", "pitch", "yaw")
-_LONGER = 2.0  # times the usual run of equal values
-_MOSTLY, _FEWEST = 0.8, 20  # share of runs that are as long, and number of runs
-_STUCK_ROWS, _STUCK_SECONDS, _JUMPS = 20, 0.25, 3.0  # of what is stuck, and times usual changes
+_LONGER = 2.0  # longest held run of equal values, relative to the median
+_MOSTLY, _FEWEST = 0.8, 20  # least share of held runs, and least number of runs
+_STUCK_ROWS, _STUCK_SECONDS, _JUMPS = 20, 0.25, 3.0  # of stuck values, and jump in usual changes
 _POSE = "base.position", "base.orientation"
-_BESIDE = 0.02  # s, around a touch or a lift within which a frame may be in contact
+_BESIDE = 0.02  # s, uncertainty of the instants of contact
 
 
 def vectors(columns: Mapping[str, Array], name: str) -> Array | None:
-    """Return (N, 3) of `name.x`, `.y` and `.z`, or (N, 4) of an orientation; None without."""
+    """Return `name.x`, `.y`, `.z` as (N, 3), or a quaternion as (N, 4); None if missing."""
     axes = QUATERNION if name.endswith("orientation") else AXES
     if not all(f"{name}.{axis}" in columns for axis in axes):
         return None
@@ -43,7 +43,7 @@ def vectors(columns: Mapping[str, Array], name: str) -> Array | None:
 
 
 def orientation(columns: Mapping[str, Array]) -> tuple[tuple[str, ...], Array] | None:
-    """Return the names and values (N, k) of a quaternion, angles or a matrix; None without."""
+    """Return the axes and values (N, k) of a quaternion, angles or a matrix, or None."""
     for axes in (QUATERNION, ANGLES, tuple("012345678"), tuple("0123")):
         names = [f"base.orientation.{axis}" for axis in axes]
         if all(name in columns for name in names):
@@ -54,25 +54,25 @@ def orientation(columns: Mapping[str, Array]) -> tuple[tuple[str, ...], Array] |
 def without_held(
     time: Array, columns: Mapping[str, Array]
 ) -> tuple[dict[str, Array], NDArray[np.bool_], list[str]]:
-    """Return columns without readings that are held or stuck, which rows are of use, and notes.
+    """Return columns without held or stuck readings, the usable rows (N,), and notes.
 
-    Where a source is slower than the log, its readings are held until the next ones come. The rows
-    that have those of the slowest source are of use, and the others' are interpolated, as is a pose
-    beside an IMU. A pose that is stuck, and then jumps to where the base is, is left out.
+    If a source is slower than the log, its readings are held until the next one. The rows with new
+    readings of the slowest source are usable. Readings of faster ones are interpolated, and so is
+    a pose if there is an IMU. Poses that are stuck until they jump are left out.
     """
-    found, slow, notes = dict(columns), dict[str, tuple[int, NDArray[np.bool_]]](), list[str]()
+    repaired, slow, notes = dict(columns), dict[str, tuple[int, NDArray[np.bool_]]](), list[str]()
     for head in dict.fromkeys(n.rpartition(".")[0] for n in columns if not n.endswith(FLAG)):
         names = [name for name in columns if name.rpartition(".")[0] == head]
         values = unwound(np.stack([columns[name] for name in names], -1), names)
         changes = np.linalg.norm(np.diff(values, axis=0), axis=1)
         starts = np.flatnonzero(np.append(True, changes != 0.0))
         lengths = np.diff(np.append(starts, len(values)))
-        run = np.repeat(np.arange(len(starts)), lengths)  # of equal values, of each row
+        run = np.repeat(np.arange(len(starts)), lengths)  # index of the run of each row
         is_held, every = np.arange(len(values)) != starts[run], int(np.median(lengths))
-        is_short = lengths <= _LONGER * every  # otherwise it stays the same
-        if head in _POSE and (lost := is_held & _stuck(time, starts, changes)[run]).any():
-            values[lost] = np.nan
-            notes.append(f"{head} is stuck and then jumps: {lost.sum()} rows of it are not used")
+        is_short = lengths <= _LONGER * every  # longer runs are standstills
+        if head in _POSE and (stuck := is_held & _stuck(time, starts, changes)[run]).any():
+            values[stuck] = np.nan
+            notes.append(f"{head} is stuck and then jumps: {stuck.sum()} rows of it are not used")
         elif len(lengths) >= _FEWEST and np.mean(is_short & (lengths > 1)) >= _MOSTLY:
             slow[head] = every, ~(is_held & is_short[run])
             new = slow[head][1] & np.isfinite(values).all(axis=1)
@@ -80,21 +80,21 @@ def without_held(
             values[~new] = np.where(np.isfinite(values[~new]), spline(time[~new]), np.nan)
         else:
             continue
-        found |= dict(zip(names, values.T, strict=True))
+        repaired |= dict(zip(names, values.T, strict=True))
     if not slow:
-        return found, np.ones(len(time), bool), notes
+        return repaired, np.ones(len(time), bool), notes
     has_imu = vectors(columns, "imu.linear_acceleration") is not None
     rows = {head: new for head, (_, new) in slow.items() if not (has_imu and head in _POSE)}
     slowest = max(rows, key=lambda head: slow[head][0], default="")
     heads = {every: [h for h in slow if slow[h][0] == every] for every, _ in slow.values()}
-    said = "; ".join(f"{', '.join(own)} every {every} rows" for every, own in heads.items())
+    rates = "; ".join(f"{', '.join(own)} every {every} rows" for every, own in heads.items())
     words = f"rows without those of {slowest} are not used" if rows else "interpolated"
-    notes.append(f"new values come more seldom than rows, {said}: {words}")
-    return found, rows.get(slowest, np.ones(len(time), bool)), notes
+    notes.append(f"new values come more seldom than rows, {rates}: {words}")
+    return repaired, rows.get(slowest, np.ones(len(time), bool)), notes
 
 
 def _stuck(time: Array, starts: NDArray[np.intp], changes: Array) -> NDArray[np.bool_]:
-    """Return which runs (K,) of equal values from rows on last too long and end with a jump."""
+    """Return whether runs (K,) of equal values are too long and end with a jump."""
     ends = np.append(starts[1:], len(time)) - 1
     is_long = (ends - starts > _STUCK_ROWS) & (time[ends] - time[starts] > _STUCK_SECONDS)
     after = np.append(changes, 0.0)[ends]
@@ -103,7 +103,7 @@ def _stuck(time: Array, starts: NDArray[np.intp], changes: Array) -> NDArray[np.
 
 
 def unwound(values: Array, names: Sequence[str]) -> Array:
-    """Return values (N, k) without jumps by a turn of angles, and of signs of quaternions."""
+    """Return values (N, k) with angles unwrapped, and with continuous signs of quaternions."""
     if names[0].endswith(ANGLES):
         return np.unwrap(values, axis=0, period=2.0 * np.pi if np.ptp(values) < 7.0 else 360.0)
     if len(names) != len(QUATERNION):
@@ -113,44 +113,44 @@ def unwound(values: Array, names: Sequence[str]) -> Array:
 
 
 FORCE, FLAG = ".force.x", ".contact"
-"""How columns end that have the force at a frame, and whether that touches something."""
+"""Endings of the names of columns of forces and contact flags."""
 
 
 def frames_of(columns: Mapping[str, Array], end: str) -> tuple[str, ...]:
-    """Return the frames of which columns have an end, in their order."""
+    """Return the frames of columns with an ending, in order."""
     return tuple(name.removesuffix(end) for name in columns if name.endswith(end))
 
 
 @dataclass(frozen=True, eq=False)
 class ContactFlags:
-    """Frames that may touch the ground, and when."""
+    """Times at which frames may touch the ground."""
 
     frames: tuple[str, ...]  # names of the c frames
     time: Array  # (K,) instants, s
     flags: NDArray[np.bool_]  # (K, c) whether each may touch
 
     def at(self, time: Array) -> NDArray[np.bool_]:
-        """Return (N, c) whether frames may touch in the rows beside instants (N,)."""
+        """Return whether frames may touch (N, c) just before or after instants (N,)."""
         after = np.clip(np.searchsorted(self.time, time), 0, len(self.time) - 1)
         return np.asarray(self.flags[np.maximum(after - 1, 0)] | self.flags[after])
 
 
 def odd_flags(time: Array, flags: NDArray[np.bool_]) -> Array:
-    """Return the shares (c,) of flags (N, c) that most of those just before and after contradict.
+    """Return the shares (c,) of flags (N, c) that differ from most of those just before and after.
 
-    No foot touches or lifts for so short a while.
+    No foot touches or lifts for such a short time.
     """
     counts, sums = _around(time, flags)
     return np.asarray((flags != (2 * sums > counts[:, None])).mean(axis=0))
 
 
 def widened(time: Array, flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return flags (N, c) that start a little earlier and end a little later."""
+    """Return flags (N, c) with contacts that begin slightly earlier and end slightly later."""
     return np.asarray(_around(time, flags)[1] > 0)
 
 
 def _around(time: Array, flags: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return how many flags (N,) there are around each instant, and how many of them hold."""
+    """Return the numbers of rows (N,) around each instant, and of contacts (N, c) in them."""
     first = np.searchsorted(time, time - _BESIDE)
     last = np.searchsorted(time, time + _BESIDE, side="right")
     sums = np.vstack([np.zeros((1, flags.shape[1])), np.cumsum(flags, axis=0)])

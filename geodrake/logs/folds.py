@@ -1,7 +1,7 @@
 """Validation folds: complete trajectories, or long time blocks with gaps between them.
 
-Residuals of real robots are correlated over many samples, so that folds of single samples call
-nearly every smooth regressor real. Folds here are long stretches of time.
+Residuals of real robots are correlated over many samples, so that cross-validation with folds of
+single samples would accept nearly every smooth regressor. Folds are therefore long time blocks.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from geodrake.logs.motion import Trajectory
 
 _ENOUGH_TRAJECTORIES = 4
 _FOLDS = 8
-_MOST_BLOCKS = 1000  # of a log; each is held out of a fit once
+_MOST_BLOCKS = 1000  # per log; each is held out once
 _LEAST_OUTPUTS = 10  # filtered samples in a fold
-_LARGEST_GAP = 0.05  # of a block
-_CORRELATION_SECONDS = 0.5  # of what friction and elasticity leave in a residual
+_LARGEST_GAP = 0.05  # relative to a block
+_CORRELATION_SECONDS = 0.5  # of residuals of friction and elasticity
 
 
 @dataclass(frozen=True)
@@ -53,11 +53,11 @@ class Fold:
 def validation_blocks(
     trajectories: Sequence[Trajectory], *, blocks: int | None = None
 ) -> tuple[Fold, ...]:
-    """Split trajectories into folds that share no filtered sample and are apart in time.
+    """Split trajectories into folds that share no filtered sample and are separated in time.
 
-    Four trajectories or more are one fold each, or two if one alone has a known payload or has
-    none; fewer are cut into blocks of equal length, about eight in all, or as many `blocks` each.
-    Gaps between blocks are as long as the filter's window and half a second, and at most 5 %.
+    Four or more trajectories are one fold each, or two if only one of them has a known payload, or
+    has none. Fewer are cut into blocks of equal length: about eight in all, or `blocks` of each.
+    Gaps between blocks last half a second longer than the filter's window, but at most 5 %.
     """
     if not trajectories:
         raise ArgumentError("There are no trajectories to split into folds.")
@@ -87,7 +87,7 @@ def validation_blocks(
 
 _PIECES = 4
 _MOST_MOTION, _MORE_MOTION = 0.4, 1.5
-"""A fold has at most this share of a joint's motion, or so many times its share of all motion."""
+"""Largest share of a joint's motion in a fold: absolute, or relative to the share of all motion."""
 
 
 def share_motion(
@@ -96,34 +96,34 @@ def share_motion(
     samples: Array,
     instants: Sequence[Sequence[Sequence[Array]]],
 ) -> tuple[Fold, ...]:
-    """Return folds of which none has much of a joint's motion, if possible; else these.
+    """Exchange parts of folds so that none contains most of a joint's motion, if possible.
 
-    Joints may move one after the other, in one log or in one log each: without the fold that has
-    most of its motion, little is left to fit a joint's friction. The `samples` (n, folds) count
-    motion of each joint in each fold; `instants` are their stamps, s, by joint, fold and block.
+    If joints move one after the other, too little remains to fit a joint's friction without the
+    fold that has most of its motion. The `samples` (n, folds) are numbers of samples in which each
+    joint moves; `instants` are their stamps, s, by joint, fold and block.
     """
     if len(folds) < 2:
         return folds
-    samples, windows, others = samples.astype(float), list[Window](), dict[int, int]()
-    usual, whole = samples.sum(axis=0) / max(samples.sum(), 1.0), samples.sum(axis=1)
-    for here, total, times in zip(samples, whole, instants, strict=True):
-        most = np.maximum(_MOST_MOTION, _MORE_MOTION * usual) * total
-        counts = here.copy()
+    samples, windows, other = samples.astype(float), list[Window](), dict[int, int]()
+    shares, totals = samples.sum(axis=0) / max(samples.sum(), 1.0), samples.sum(axis=1)
+    for load, total, times in zip(samples, totals, instants, strict=True):
+        most = np.maximum(_MOST_MOTION, _MORE_MOTION * shares) * total
+        counts = load.copy()
         for fold in np.flatnonzero(counts > most).tolist():
             for block, time in zip(folds[fold].blocks, times[fold], strict=True):
                 if len(time):
                     first, last = (time[[0, -1]] - trajectories[block.trajectory].began).tolist()
                     windows.append((block.trajectory, first, last))
-            if fold not in others:
-                others[fold] = int(np.where(np.arange(len(folds)) == fold, np.inf, here).argmin())
-                here[others[fold]] += 0.5 * counts[fold]
+            if fold not in other:
+                other[fold] = int(np.where(np.arange(len(folds)) == fold, np.inf, load).argmin())
+                load[other[fold]] += 0.5 * counts[fold]
     if not windows:
         return folds
-    return assign_folds(folds, trajectories, windows, pieces=_PIECES, others=others)
+    return assign_folds(folds, trajectories, windows, pieces=_PIECES, others=other)
 
 
 Window = tuple[int, float, float]
-"""Index of a log, start and end of a part of it, s since the log began."""
+"""Index of a log, and start and end of a part of it, s since the log began."""
 
 
 def assign_folds(
@@ -134,9 +134,9 @@ def assign_folds(
     pieces: int,
     others: Mapping[int, int] | None = None,
 ) -> tuple[Fold, ...]:
-    """Return folds of which windows are cut into pieces, every other one given to another fold.
+    """Cut windows of folds into pieces, and move every second piece to another fold.
 
-    Which other one it is, `others` says by numbers; by default it is half of all folds further on.
+    Pieces of fold k go to fold `others[k]`, by default the fold half of all folds further on.
     """
     dealt: dict[int, list[Block]] = defaultdict(list)
     windows = _merged(windows)
@@ -158,14 +158,14 @@ def assign_folds(
 
 
 def _merged(windows: Sequence[Window]) -> list[Window]:
-    """Merge windows that overlap."""
-    found: list[Window] = []
+    """Merge overlapping windows."""
+    merged: list[Window] = []
     for log, start, end in sorted(windows):
-        if found and found[-1][0] == log and start <= found[-1][2]:
-            found[-1] = (log, found[-1][1], max(end, found[-1][2]))
+        if merged and merged[-1][0] == log and start <= merged[-1][2]:
+            merged[-1] = (log, merged[-1][1], max(end, merged[-1][2]))
         else:
-            found.append((log, start, end))
-    return found
+            merged.append((log, start, end))
+    return merged
 
 
 def _outputs_within(
@@ -173,12 +173,12 @@ def _outputs_within(
 ) -> Iterator[tuple[int, int]]:
     """Yield the first and last filtered sample of each window in a block."""
     low_pass, segment = trajectory.filter, trajectory.segments[block.segment]
-    began, here = trajectory.began, float(segment[:1].time[0])
+    began, start = trajectory.began, float(segment[:1].time[0])
     for log, *window in windows:
         if log == block.trajectory:
-            since = (np.array(window) + began - here) / low_pass.period - low_pass.halfwidth
-            places = np.rint(since / low_pass.decimation).astype(int)
-            first, last = np.clip(places, block.start, block.stop).tolist()
+            samples = (np.array(window) + began - start) / low_pass.period - low_pass.halfwidth
+            outputs = np.rint(samples / low_pass.decimation).astype(int)
+            first, last = np.clip(outputs, block.start, block.stop).tolist()
             if first < last:
                 yield first, last
 
@@ -201,8 +201,8 @@ def _cut(trajectory: Trajectory, index: int, wanted: int) -> list[Fold]:
     for start, stop in zip(cuts[:-1], cuts[1:] - gap, strict=True):
         begin = np.maximum(start - (ends - counts), 0).tolist()
         end = np.minimum(stop - (ends - counts), counts).tolist()
-        whole = (Block(index, k, *both) for k, both in enumerate(zip(begin, end, strict=True)))
-        blocks = tuple(block for block in whole if block.stop > block.start)
+        parts = (Block(index, k, *bounds) for k, bounds in enumerate(zip(begin, end, strict=True)))
+        blocks = tuple(block for block in parts if block.stop > block.start)
         folds.append(Fold(_name(trajectory, blocks, pieces), blocks))
     return folds
 

@@ -1,4 +1,4 @@
-"""Inspection of a log: columns, rates, gaps, units, rest, and sensor faults."""
+"""Inspection of a log: columns, rates, gaps, units, rests, and sensor faults."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from geodrake.logs.time_stamps import longest_step
 from geodrake.logs.uniform_log import make_uniform
 from geodrake.logs.units_of_values import effort_hint, position_unit_hint
 
-_WINDOW, _STILL = 0.25, 2e-3  # s, and rad or m by which a joint at rest may move in them
+_WINDOW, _STILL = 0.25, 2e-3  # s, and rad or m by which a joint at rest may move meanwhile
 _SHORTEST_REST = 0.5  # s
-_LEAST_STEP = 1e-7  # s, to which stamps since 1970 are exact
+_LEAST_STEP = 1e-7  # s, precision of stamps since 1970
 
 
 @dataclass(frozen=True)
 class UnderstoodColumn:
-    """A column of a log and its source."""
+    """A quantity of a joint and its source in a log."""
 
     joint: str
     quantity: str
@@ -45,27 +45,24 @@ class UnderstoodColumn:
 
 @dataclass(frozen=True, eq=False)
 class LogInspection:
-    """How a log was read."""
+    """A log and the way in which it was read."""
 
-    log: JointLog  # without what its sensors did wrong
-    time_column: str  # the column of time; "" where a rate says it
-    # Columns of all joints and quantities, in the order of the joints.
+    log: JointLog  # without sensor faults
+    time_column: str  # "" if a rate gives the time
+    # In the order of the joints.
     columns: tuple[UnderstoodColumn, ...]
     period: float  # typical time between rows, s
-    jitter: float  # standard deviation of the time between rows, gaps left out, s
-    gaps: tuple[tuple[float, float], ...]  # instant and length of every gap, s
-    # First and last instant of stretches in which no joint moves, s.
-    rests: tuple[tuple[float, float], ...]
-    # Doubts and what is left out, what was noticed while reading, and what sensors did wrong.
-    notes: tuple[str, ...]
-    time_unit: str = ""  # unit that time was in; "" where nobody said it
-    # Doubts about units, signs and order, and what of the log is of no use at the bandwidth of its
-    # positions.
+    jitter: float  # standard deviation of the time between rows except gaps, s
+    gaps: tuple[tuple[float, float], ...]  # instant and length of each gap, s
+    rests: tuple[tuple[float, float], ...]  # first and last instant without motion, s
+    notes: tuple[str, ...]  # `first`, notes from reading, sensor faults, and missing joints
+    time_unit: str = ""  # unit of time in the file; "" if unknown
+    # Doubts about units, signs and order, and data that are unusable at the positions' bandwidth.
     first: tuple[str, ...] = ()
 
     @property
     def seconds(self) -> float:
-        """From the first row to the last, s."""
+        """Time from the first row to the last, s."""
         time = _known(self.log.time)
         return float(time[-1] - time[0])
 
@@ -82,16 +79,16 @@ def inspect_log(
     partial: bool = False,
     reading: Reading | None = None,
 ) -> LogInspection:
-    """Read a log, and inspect it without a model; see `read_log` for arguments."""
+    """Read a log and inspect it without a model; see `read_log` for arguments."""
     raw, columns = understand(path, joints=joints, partial=partial, reading=reading)
     log = raw
     try:
         log = without_faults(raw)
         check_commands(log)
-        silent = np.isnan(log.effort).all(axis=0)  # where commands are in the place of efforts
-        told = replace(log, effort=np.where(silent, 0.0, log.effort)) if silent.any() else log
-        unused = prepare_logs([make_uniform(told, faultless=True)])[0].left_out
-    except LogError as error:  # as of sensors that failed for good: there is still much to show
+        silent = np.isnan(log.effort).all(axis=0)  # joints with commands instead
+        complete = replace(log, effort=np.where(silent, 0.0, log.effort)) if silent.any() else log
+        unused = prepare_logs([make_uniform(complete, faultless=True)])[0].left_out
+    except LogError as error:  # the rest is still worth showing
         unused = f"cannot be used: {error}"
     steps = np.diff(_known(log.time))
     period = float(np.median(steps))
@@ -120,7 +117,7 @@ def mapping_text(
     columns: Sequence[UnderstoodColumn],
     gain_deviations: Mapping[str, float] | None = None,
 ) -> str:
-    """Return the text of a mapping that reads a log in the same way, with these columns."""
+    """Return the text of a mapping by which these columns are read in the same way."""
     time = MappedColumn(found.time_column, found.time_unit or None) if found.time_column else None
     rate = None if time else round(1.0 / found.period, 6)
     known, deviations = (*found.log.joints, *found.log.standing), gain_deviations or {}
@@ -133,18 +130,18 @@ def mapping_text(
     for joint in found.log.passive:
         joints[joint]["effort"] = MappedColumn(PASSIVE)
     text = mapping_yaml(joints, time, rate)
-    _check_said(path, found, text)
+    _check_mapping(path, found, text)
     return text
 
 
-def _check_said(path: Path, found: LogInspection, text: str) -> None:
-    """Raise for a mapping that would not read the log again, as when cells name joints."""
+def _check_mapping(path: Path, found: LogInspection, text: str) -> None:
+    """Raise if a mapping does not reproduce the log, for example if cells contain joint names."""
     try:
         mapping = mapping_of(path, yaml.safe_load(text))
-        again = read_log(path, reading=Reading(mapping=mapping), partial=True)
+        log = read_log(path, reading=Reading(mapping=mapping), partial=True)
         problem = "the times of its rows would change."
-        is_same = len(again) == len(found.log) and np.allclose(
-            np.diff(again.time), np.diff(found.log.time), atol=_LEAST_STEP
+        is_same = len(log) == len(found.log) and np.allclose(
+            np.diff(log.time), np.diff(found.log.time), atol=_LEAST_STEP
         )
     except GeodrakeError as error:
         problem, is_same = error.problem, False
@@ -163,7 +160,7 @@ def _columns(raw: JointLog, log: JointLog, columns: Columns) -> Iterator[Underst
     for joint, quantity in product((*log.joints, *log.standing), columns.quantities):
         source = columns.sources.get(f"{joint}.{quantity}")
         if source is None:
-            continue  # commands have the place of efforts, or the other way round
+            continue  # a joint may have only commands or only efforts
         values = [
             each.alone[joint]
             if joint in each.alone
@@ -184,7 +181,7 @@ def _columns(raw: JointLog, log: JointLog, columns: Columns) -> Iterator[Underst
 
 
 def _rests(log: JointLog, period: float) -> Iterator[tuple[float, float]]:
-    """Yield stretches in which the positions of all joints stay."""
+    """Yield the first and last instants of stretches in which no joint moves, s."""
     rows = int(np.clip(_WINDOW / period, 2, len(log))) if period > 0 else 2
     count = len(log) // rows
     blocks = log.position[: count * rows].reshape(count, rows, len(log.joints))

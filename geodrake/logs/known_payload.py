@@ -1,4 +1,4 @@
-"""A body of known mass that a robot carried while it was logged, such as a calibration weight."""
+"""Payloads of known mass that a robot carried while it was logged, such as weights."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from geodrake.inertia import from_mass_com_inertia
 
 Vector = tuple[float, float, float]
 
-_HEAVIEST, _FARTHEST = 1e6, 1e3  # kg, and m; beyond them it is a slip of the keyboard
+_HEAVIEST, _FARTHEST = 1e6, 1e3  # kg, m; larger values are typing errors
 _POINT = ((0.0, 0.0, 0.0),) * 3
 
 
 @dataclass(frozen=True)
 class KnownPayload:
-    """A known body fixed to a link of the robot, that is no part of its model.
+    """A known body fixed to a link of the robot, but absent from its model.
 
-    What it needs is effort in true N·m. So logs with it and without identify gains of efforts,
-    which bodies of a model would take in otherwise.
+    The efforts that it needs are known in N·m. Logs with it and without it therefore identify
+    effort gains, which are otherwise indistinguishable from scaled inertial parameters.
 
     Attributes:
         body: Name of the link B that carries it.

@@ -1,4 +1,4 @@
-"""Checks of logs: uninformative commands, saturated efforts, and duplicates."""
+"""Checks of logs: uninformative commands, saturated efforts, and duplicate logs."""
 
 from __future__ import annotations
 
@@ -12,38 +12,38 @@ from geodrake.boundary.arguments import Array
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.motion import JointLog
 
-_STILL = 2e-3  # rad or m, by which a joint may move and still stand
-_SAME = 1e-6  # of what a joint moves, by which a copy of its positions may differ: it is rounded
-_RATIOS = 57.3, 652.0, 11.4  # of rad, degrees and ticks of 4,096 a turn
-_LAG, _FOLLOWS = 0.4, 0.8  # of such a ratio's logarithm, and correlation of what follows
-_UNLIKE, _APART = 0.5, 5.0  # correlation of what does not, and times as far that it moves
-_LATEST = 3  # rows by which a copy may be late
-_WINDOW, _MOVING = 0.05, 0.1  # s, and the share of the largest way in them of a joint that moves
-_FULL, _MOST = 1.0 - 1e-6, 0.9  # of the largest effort, and the share of rows that may be at it
-_EVEN = 0.01  # by which steps between rounded values are off whole multiples of the least
-_STEPS = 50  # resolutions that a largest value must have, or rounding may explain it
+_STILL = 2e-3  # rad or m, largest range of a joint at rest
+_SAME = 1e-6  # of a joint's range: rounding error of a copy of its positions
+_RATIOS = 57.3, 652.0, 11.4  # between rad, degrees and ticks of 1/4096 turn
+_LAG, _FOLLOWS = 0.4, 0.8  # tolerance of a ratio's logarithm, and least correlation with it
+_UNLIKE, _APART = 0.5, 5.0  # correlation and ratio of ranges of unrelated commands
+_LATEST = 3  # rows, largest delay of a copy
+_WINDOW, _MOVING = 0.05, 0.1  # s, and share of the largest distance in them, of a moving joint
+_FULL, _MOST = 1.0 - 1e-6, 0.9  # share of the largest effort, and of rows that may reach it
+_EVEN = 0.01  # tolerance of multiples of the resolution
+_STEPS = 50  # resolutions: rounding may explain saturation at smaller values
 
 
 def check_commands(log: JointLog) -> None:
-    """Raise for commands that always equal positions, are in another unit, or are of others."""
+    """Raise for commands that equal positions, are in another unit, or belong to other signals."""
     unlike, moved = list[str](), 0
-    for at, joint in enumerate(log.joints):
-        if log.command is None or np.isfinite(log.effort[:, at]).any():
+    for j, joint in enumerate(log.joints):
+        if log.command is None or np.isfinite(log.effort[:, j]).any():
             continue
-        command, position = log.command[:, at], log.position[:, at]
+        command, position = log.command[:, j], log.position[:, j]
         known = np.isfinite(position)
         if not known.any() or position[known].max() - _STILL <= position[known].min():
             continue
-        alike, size = _alike(command, position)
-        is_unlike = size > 0.0 and (alike < _UNLIKE or not 1.0 / _APART < size < _APART)
-        words = f"{joint} they correlate by {alike:.2f} and vary {size:.3g} times as much"
+        correlation, scale = _correlation(command, position)
+        is_unlike = scale > 0.0 and (correlation < _UNLIKE or not 1.0 / _APART < scale < _APART)
+        words = f"{joint} they correlate by {correlation:.2f} and vary {scale:.3g} times as much"
         unlike += [words] * is_unlike
-        moved += size > 0.0
-        if alike >= _FOLLOWS and any(
-            abs(abs(np.log(size)) - np.log(ratio)) < _LAG for ratio in _RATIOS
+        moved += scale > 0.0
+        if correlation >= _FOLLOWS and any(
+            abs(abs(np.log(scale)) - np.log(ratio)) < _LAG for ratio in _RATIOS
         ):
             raise LogError(
-                f"Commands of {joint} in log {log.name!r} move as positions, but {size:.3g} times "
+                f"Commands of {joint} in log {log.name!r} move as positions, but {scale:.3g} times "
                 "as far.",
                 advice="One of them is in another unit; give that of both, for example --units "
                 "position=rad,command=deg, or ticks@2048.",
@@ -56,7 +56,7 @@ def check_commands(log: JointLog) -> None:
                 "that is the command, move the joint faster, in steps or oscillations of "
                 "some hertz, or with a load, so that the servo lags.",
             )
-    is_alone = moved == 1 < len(log.joints)  # a heavy joint may sag, whatever it is told
+    is_alone = moved == 1 < len(log.joints)  # a heavy joint may sag in spite of its command
     if unlike and len(unlike) == moved and not is_alone:
         raise LogError(
             f"No joint follows its commands in log {log.name!r}: of {unlike[0]} as positions.",
@@ -65,18 +65,18 @@ def check_commands(log: JointLog) -> None:
         )
 
 
-def _alike(command: Array, position: Array) -> tuple[float, float]:
+def _correlation(command: Array, position: Array) -> tuple[float, float]:
     """Return the correlation of commands and positions (N,), and the ratio of their deviations."""
     known = np.isfinite(command) & np.isfinite(position)
-    first, second = command[known], position[known]
-    sizes = (float(first.std()), float(second.std())) if known.any() else (0.0, 0.0)
-    if not min(sizes) > 0.0:
+    commands, positions = command[known], position[known]
+    deviations = (float(commands.std()), float(positions.std())) if known.any() else (0.0, 0.0)
+    if not min(deviations) > 0.0:
         return 0.0, 0.0
-    return float(np.corrcoef(first, second)[0, 1]), sizes[0] / sizes[1]
+    return float(np.corrcoef(commands, positions)[0, 1]), deviations[0] / deviations[1]
 
 
 def _is_copy(command: Array, position: Array, late: int) -> bool:
-    """Return whether commands are positions of some rows before, up to rounding."""
+    """Return whether commands equal the positions `late` rows later, up to rounding."""
     command, position = command[: len(command) - late], position[late:]
     known = np.isfinite(command) & np.isfinite(position)
     if not known.any():
@@ -89,23 +89,23 @@ def _is_copy(command: Array, position: Array, late: int) -> bool:
 def check_saturation(log: JointLog, measured: JointLog | None = None) -> None:
     """Raise for efforts that are at their largest value most of the time.
 
-    Where efforts are those of servos, by their commands, the log is told apart from what was
-    `measured`, which has none there.
+    If the log has efforts derived from commands of servos, `measured` is the original log, without
+    efforts of these joints.
     """
-    for at, joint in enumerate(log.joints):
+    for j, joint in enumerate(log.joints):
         if log.effort_kinds.get(joint, "effort") not in ("effort", "current"):
-            continue  # voltages may be switched
-        effort = log.effort[_moving(log, at), at]
+            continue  # a switched voltage is often at its maximum
+        effort = log.effort[_moving(log, j), j]
         effort = effort[np.isfinite(effort)]
         largest = float(np.abs(effort).max(initial=0.0))
-        is_servo = measured is not None and not np.isfinite(measured.effort[:, at]).any()
+        is_servo = measured is not None and not np.isfinite(measured.effort[:, j]).any()
         is_constant = not len(effort) or effort.max() == effort.min()
         if is_constant and not (is_servo and largest > 0.0):
             continue
         share = float(np.mean(np.abs(effort) >= _FULL * largest))
         if share > _MOST and (is_constant or not _is_coarse(effort)):
             if is_servo:
-                raise _saturated_servo(log, at, largest, share)
+                raise _saturated_servo(log, j, largest, share)
             raise LogError(
                 f"The {log.effort_kinds.get(joint, 'effort')} of {joint} in log {log.name!r} "
                 f"is saturated: it is at its largest value, {largest:.4g}, in "
@@ -115,51 +115,51 @@ def check_saturation(log: JointLog, measured: JointLog | None = None) -> None:
             )
 
 
-def _saturated_servo(log: JointLog, at: int, largest: float, share: float) -> LogError:
-    """Return the error that a servo is at its limit in a share of the rows in which it moves."""
-    joint, command = log.joints[at], log.command
-    stays = command is not None and not np.nanmax(command[:, at]) > np.nanmin(command[:, at])
-    why = "its command never changes" if stays else "its command is far from its position"
+def _saturated_servo(log: JointLog, j: int, largest: float, share: float) -> LogError:
+    """Return the error for a servo at its limit in a `share` of the rows in which it moves."""
+    joint, command = log.joints[j], log.command
+    is_still = command is not None and not np.nanmax(command[:, j]) > np.nanmin(command[:, j])
+    why = "its command never changes" if is_still else "its command is far from its position"
     return LogError(
         f"The servo of {joint} in log {log.name!r} is saturated: {why}, and its effort is at the "
         f"limit, {largest:.4g}, in {100 * share:.0f} % of the rows in which the joint moves.",
         advice=f"Does that servo follow another command? If it is off, use --passive {joint}."
-        if stays
+        if is_still
         else "Check the command's unit and zero, or move with less acceleration or load.",
     )
 
 
-def _moving(log: JointLog, at: int) -> NDArray[np.bool_]:
-    """Return (N,) rows in which a joint moves."""
-    time, position = log.time, log.position[:, at]
+def _moving(log: JointLog, j: int) -> NDArray[np.bool_]:
+    """Return whether a joint moves in each row (N,)."""
+    time, position = log.time, log.position[:, j]
     steps = np.diff(time[np.isfinite(time)])
     rows = max(1, round(_WINDOW / float(np.median(steps)))) if len(steps) else 1
-    way = np.zeros(len(position))
+    distance = np.zeros(len(position))
     if rows < len(position):
-        way[:-rows] = np.abs(position[rows:] - position[:-rows])
-    way = np.nan_to_num(way)
-    return np.asarray(way > max(_MOVING * float(way.max(initial=0.0)), 0.0))
+        distance[:-rows] = np.abs(position[rows:] - position[:-rows])
+    distance = np.nan_to_num(distance)
+    return np.asarray(distance > max(_MOVING * float(distance.max(initial=0.0)), 0.0))
 
 
 def _is_coarse(effort: Array) -> bool:
-    """Return whether rounding alone may explain a largest value."""
+    """Return whether rounding alone may explain constant largest values."""
     levels = np.unique(effort)
     if len(levels) == 2 and levels[0] == -levels[1]:
-        return False  # a switch
+        return False  # a bang-bang signal
     steps = np.diff(levels)
     ratios = steps / steps.min()
     is_rounded = np.all(np.abs(ratios - np.rint(ratios)) < _EVEN)
     return bool(is_rounded and np.abs(levels).max() < _STEPS * steps.min())
 
 
-_TOGETHER = 8  # rows that follow each other, which two logs do not share by chance
-_MOST_SHARED = 0.5  # of such rows of a log, that another may have
+_TOGETHER = 8  # successive rows, which two logs do not share by chance
+_MOST_SHARED = 0.5  # largest share of such sequences that another log may contain
 
 
 def check_repeated(logs: Sequence[JointLog]) -> None:
     """Raise if two logs have the same measurements.
 
-    Positions and efforts of rows in which a joint moves count, and neither names nor time stamps.
+    Positions and efforts of rows in which a joint moves are compared, not names or time stamps.
     """
     digests = [_digests(log) for log in logs]
     for pair in combinations(range(len(logs)), 2):
@@ -173,12 +173,12 @@ def check_repeated(logs: Sequence[JointLog]) -> None:
 
 
 def _digests(log: JointLog) -> NDArray[np.int64]:
-    """Return a hash of some rows of each log."""
+    """Return hashes of all sequences of rows of a log in which a joint moves."""
     if len(log) < _TOGETHER:
         return np.zeros(0, np.int64)
     rows, draw = np.hstack([log.position, log.effort]), np.random.default_rng(0).integers
     with np.errstate(over="ignore"):
-        each = rows.view(np.int64) @ draw(1 << 62, size=rows.shape[1])
-        found = np.convolve(each, draw(1 << 62, size=_TOGETHER), "valid")
+        row_hashes = rows.view(np.int64) @ draw(1 << 62, size=rows.shape[1])
+        digests = np.convolve(row_hashes, draw(1 << 62, size=_TOGETHER), "valid")
     still = np.concatenate([[0], np.cumsum((log.position[1:] == log.position[:-1]).all(axis=1))])
-    return found[still[_TOGETHER - 1 :] == still[: len(found)]]
+    return digests[still[_TOGETHER - 1 :] == still[: len(digests)]]

@@ -1,4 +1,4 @@
-"""Motions and measured logs, and the way from a raw log to smooth uniform segments."""
+"""Logs of measurements, motions, and trajectories prepared for identification."""
 
 from __future__ import annotations
 
@@ -32,33 +32,33 @@ from geodrake.logs.temperatures import Temperatures
 from geodrake.logs.time_stamps import check_time
 
 MEMORY = 20_000
-"""Samples before the first one that effects with a memory look back at."""
+"""Number of samples before the first one that effects with a memory use."""
 
 QUANTITIES = ("position", "velocity", "acceleration", "effort", "command", "temperature")
 """Quantities of each joint in a log."""
 
 PARTIAL = ("command", "temperature")
-"""Quantities that only some joints may have."""
+"""Quantities that may be missing at some joints."""
 
 SIGNAL_KINDS = ("current", "voltage", "pwm")
-"""Signals of a motor that may replace its effort."""
+"""Motor signals that may replace efforts."""
 
 PASSIVE = "passive"
-"""Kind of the efforts of a joint without a motor: zero, and not measured."""
+"""Kind of the efforts of a joint without a motor: zero and not measured."""
 
 GROUND = "ground"
-"""Kind of the efforts of a floating base: external wrenches, as far as measured."""
+"""Kind of the efforts of a floating base: external wrenches as far as they are measured."""
 
 UNMEASURED = "unmeasured"
-"""Kind of unmeasured efforts of a joint with a motor, in the limbs of a floating base."""
+"""Kind of the unmeasured efforts of a joint with a motor, in the limbs of a floating base."""
 
 EFFORT_KINDS = ("effort", *SIGNAL_KINDS, PASSIVE)
-"""Kinds of efforts: N·m or N, A, V, a share of the supply's voltage, or none."""
+"""Kinds of efforts: N·m or N, A, V, a fraction of the supply voltage, or none."""
 
 USUAL_GAIN_DEVIATION = 0.05
-"""Default relative uncertainty of effort gains, as of torque constants."""
+"""Default relative uncertainty of effort gains, such as torque constants."""
 
-_ROWS = 100_000  # of a log that are copied at once
+_ROWS = 100_000  # copied at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,33 +66,32 @@ class JointLog(Short):
     """Measurements at the joints of a robot, with NaN for missing ones.
 
     Attributes:
-        name: What messages call the log.
+        name: Name of the log in messages.
         joints: Names of the n joints.
         time: (N,) time stamps, s, increasing, not necessarily uniform.
         position: (N, n) joint positions, rad or m.
-        effort: (N, n) joint efforts, N·m or N, or what stands for them by `effort_kinds`; NaN at
-            joints that measure none.
+        effort: (N, n) joint efforts, N·m or N, or signals of `effort_kinds` in their place; NaN at
+            joints without measured efforts.
         velocity: (N, n) joint velocities, rad/s or m/s, if measured.
         acceleration: (N, n) joint accelerations, rad/s² or m/s², if measured.
-        notes: What was noticed while reading, in words.
-        payloads: What the robot carried all the time, of known mass, and its model does not have.
-        effort_uncertainty: How well the gains of the efforts are known, of all joints or (n,) of
-            each: 5 % by default, as torque constants are; 0 for calibrated torque sensors.
-        standing: Other joint, of which only positions are known -> where it stands, rad or m; NaN
-            if it moves.
-        alone: Such a joint -> its positions (N,), rad or m, where they are kept.
-        command: (N, n) positions that servos were told to go to, rad or m; NaN at joints that have
-            none.
-        effort_kinds: Joint -> what its efforts are, of `EFFORT_KINDS`; efforts where it is none.
-        temperature: (N, n) temperatures of motors or gears, °C; NaN at joints that have none.
-        origin: Since when time is, ns since 1970, where the file has dates; None if it is not
-            known, or time itself is since 1970.
-        floating: What was measured of a free base and of contacts, (N,) each, by the names of
+        notes: Observations made while reading.
+        payloads: Bodies of known mass that the robot carried all the time, and its model lacks.
+        effort_uncertainty: Relative standard deviation of the effort gains, of all joints or (n,)
+            of each: by default 5 %, typical of torque constants; 0 for calibrated torque sensors.
+        standing: Other joint, with positions only -> its constant position, rad or m; NaN if it
+            moves.
+        alone: Such a joint -> its positions (N,), rad or m, if they are kept.
+        command: (N, n) commanded positions of servos, rad or m; NaN at joints without commands.
+        effort_kinds: Joint -> kind of its efforts, one of `EFFORT_KINDS`; by default "effort".
+        temperature: (N, n) temperatures of motors or gears, °C; NaN at joints without sensors.
+        origin: Zero of the time stamps, ns since 1970, if the file has dates; None if it is
+            unknown, or stamps are themselves since 1970.
+        floating: Measurements of a free base and its contacts, (N,) each, by the names in
             `geodrake.logs.floating`.
-        measured: Joints whose accelerations are measured, and used instead of derived ones.
-        ground: (N, n) what measured wrenches add to the efforts of joints with motors, N·m or N.
-        contacts: Where a free base may be in contact, unless its wrenches were measured.
-        motors: Joint -> its motor, whose data sheet says what gains of signals to expect.
+        measured: Joints whose measured accelerations are used instead of derived ones.
+        ground: (N, n) contribution of measured wrenches to the efforts of motors, N·m or N.
+        contacts: Possible contacts of a free base, unless its wrenches were measured.
+        motors: Joint -> its motor, whose data sheet gives the expected gains of its signals.
         left_out: Joints of the file that are left out, as the model lacks them.
     """
 
@@ -146,29 +145,29 @@ class JointLog(Short):
 
     @property
     def passive(self) -> tuple[str, ...]:
-        """Joints without a motor, whose bodies and friction need no effort together."""
+        """Joints without a motor, whose total effort is zero."""
         return tuple(j for j in self.joints if self.effort_kinds.get(j) == PASSIVE)
 
     @property
     def unmeasured(self) -> tuple[str, ...]:
-        """Joints of a floating base's limbs with unmeasured efforts."""
+        """Joints with motors, in the limbs of a floating base, whose efforts are not measured."""
         return tuple(j for j in self.joints if self.effort_kinds.get(j) == UNMEASURED)
 
     @property
     def gain_deviations(self) -> Array:
-        """(n,) how well the gain of each joint's efforts is known."""
+        """(n,) relative standard deviations of the effort gains."""
         return np.broadcast_to(np.asarray(self.effort_uncertainty, float), (len(self.joints),))
 
     @property
     def motor_effort(self) -> Array:
-        """(N, n) efforts without what measured wrenches add."""
+        """(N, n) efforts without the contribution of measured wrenches."""
         return self.effort if self.ground is None else self.effort - self.ground
 
     def __len__(self) -> int:
         return len(self.time)
 
     def rows(self, kept: NDArray[np.bool_]) -> JointLog:
-        """Return some of the rows (N,), or itself."""
+        """Return the log of selected rows (N,); itself if all are selected."""
         if kept.all():
             return self
         names = ("time", *QUANTITIES)
@@ -180,18 +179,18 @@ class JointLog(Short):
     def columns(self) -> dict[str, Array]:
         """Return the measurements, (N,) each, by their names in log files.
 
-        Efforts, commands and temperatures of joints that have none are left out.
+        Empty columns of efforts, commands and temperatures are left out.
         """
         columns = {"time": self.time}
         for quantity in QUANTITIES:
             if (values := getattr(self, quantity)) is None:
                 continue
-            for at, (joint, column) in enumerate(zip(self.joints, values.T, strict=True)):
+            for j, (joint, column) in enumerate(zip(self.joints, values.T, strict=True)):
                 kinds = self.effort_kinds if quantity == "effort" else {}
-                told = self.command is not None and not np.isnan(self.command[:, at]).all()
-                may_lack = quantity in PARTIAL or (quantity == "effort" and told)
-                lacks = kinds.get(joint) == UNMEASURED or (may_lack and np.isnan(column).all())
-                if not lacks:
+                commanded = self.command is not None and not np.isnan(self.command[:, j]).all()
+                optional = quantity in PARTIAL or (quantity == "effort" and commanded)
+                missing = kinds.get(joint) == UNMEASURED or (optional and np.isnan(column).all())
+                if not missing:
                     columns[f"{joint}.{kinds.get(joint, quantity)}"] = column
         return {**columns, **self.floating}
 
@@ -205,8 +204,8 @@ class JointLog(Short):
         """Digest of the measurements, independent of the order of the joints."""
         order = np.argsort(self.joints)
         digest = hashlib.sha256(np.ascontiguousarray(self.time).data)
-        told = () if self.command is None else (self.command,)
-        for values in (self.position, self.effort, *told):
+        commands = () if self.command is None else (self.command,)
+        for values in (self.position, self.effort, *commands):
             for first in range(0, len(self), _ROWS):
                 digest.update(np.ascontiguousarray(values[first : first + _ROWS, order]).data)
         for name in sorted(self.floating):
@@ -214,23 +213,23 @@ class JointLog(Short):
         return digest.hexdigest()[:16]
 
     def select(self, joints: Sequence[str]) -> JointLog:
-        """Return the log of some of its joints in the given order; itself if unchanged."""
+        """Return the log of the given joints, in their order; itself if unchanged."""
         for joint in joints:
             if joint not in self.joints:
                 raise _missing(self.name, joint, self.joints)
         if tuple(joints) == self.joints:
             return self
         order = [self.joints.index(joint) for joint in joints]
-        pick: dict[str, Any] = {
+        fields: dict[str, Any] = {
             quantity: values[:, order]
             for quantity in QUANTITIES
             if (values := getattr(self, quantity)) is not None
         }
-        pick["effort_uncertainty"] = self.gain_deviations[order]
-        pick["effort_kinds"] = {j: k for j, k in self.effort_kinds.items() if j in joints}
-        pick["ground"] = None if self.ground is None else self.ground[:, order]
-        pick["measured"] = tuple(joint for joint in self.measured if joint in joints)
-        return replace(self, joints=tuple(joints), **pick)
+        fields["effort_uncertainty"] = self.gain_deviations[order]
+        fields["effort_kinds"] = {j: k for j, k in self.effort_kinds.items() if j in joints}
+        fields["ground"] = None if self.ground is None else self.ground[:, order]
+        fields["measured"] = tuple(joint for joint in self.measured if joint in joints)
+        return replace(self, joints=tuple(joints), **fields)
 
 
 _SHAPES: Mapping[str, Shape | None] = {
@@ -251,9 +250,9 @@ class Motion(Short):
         q: (N, nq) generalized positions.
         v: (N, nv) generalized velocities.
         vd: (N, nv) generalized accelerations.
-        time: (N,) instants, s, if they matter.
-        before: (M, nq) positions right before the first sample; None for samples out of order.
-        temperature: (N, nv) temperatures, °C, NaN where not known; None if none is.
+        time: (N,) instants, s, if needed.
+        before: (M, nq) positions just before the first sample; None for unordered samples.
+        temperature: (N, nv) temperatures, °C, NaN where unknown; None if all are.
     """
 
     q: Array
@@ -267,8 +266,8 @@ class Motion(Short):
         sizes: dict[str, tuple[int, ...]] = {}
         for name, shape in _SHAPES.items():
             if (values := getattr(self, name)) is not None or name in ("q", "v", "vd"):
-                measured = name != "temperature"  # which need not be known
-                values = real_array(values, name, shape, sizes, finite=measured)
+                finite = name != "temperature"  # may be NaN
+                values = real_array(values, name, shape, sizes, finite=finite)
                 object.__setattr__(self, name, values)
 
     def __len__(self) -> int:
@@ -279,8 +278,8 @@ class Motion(Short):
         before = self.before
         if before is not None:
             before = np.concatenate([before, self.q[: samples.indices(len(self))[0]]])[-MEMORY:]
-        warmth = None if self.temperature is None else self.temperature[samples]
-        return Motion(self.q[samples], self.v[samples], self.vd[samples], time, before, warmth)
+        temperature = None if self.temperature is None else self.temperature[samples]
+        return Motion(self.q[samples], self.v[samples], self.vd[samples], time, before, temperature)
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,48 +288,46 @@ class Trajectory:
 
     name: str
     joints: tuple[str, ...]  # names of the n joints, in the log's order
-    segments: tuple[Stretch, ...]  # its stretches without gaps, in time
-    filter: ZeroPhaseFilter  # what efforts and regressors of every segment are to be filtered by
-    speed_noise: Array  # (n,) deviation of the noise of the smoothed velocities, rad/s or m/s
-    acceleration_noise: Array  # (n,) that of accelerations filtered as efforts are, rad/s² or m/s²
-    notes: tuple[str, ...] = ()  # what was done to the log and chosen from it, in words
+    segments: tuple[Stretch, ...]  # stretches without gaps, in the order of time
+    filter: ZeroPhaseFilter  # for the efforts and regressors of every segment
+    speed_noise: Array  # (n,) noise deviations of the smoothed velocities, rad/s or m/s
+    acceleration_noise: Array  # (n,) those of accelerations filtered as efforts, rad/s² or m/s²
+    notes: tuple[str, ...] = ()  # on the preparation of the log
     began: float = 0.0  # its first time stamp, s
-    payloads: tuple[KnownPayload, ...] = ()  # known payloads that the robot carried
-    gain_deviations: Array | float = 0.0  # (n,) how well the gains of the efforts are known
-    # Those asked for of efforts and regressors, and of the motion, Hz.
+    payloads: tuple[KnownPayload, ...] = ()  # carried by the robot
+    gain_deviations: Array | float = 0.0  # (n,) relative deviations of the effort gains
+    # Requested bandwidths of efforts and regressors, and of the motion, Hz.
     bandwidths: tuple[float, float] = (0.0, 0.0)
-    # Courses of the joints' temperatures, if there are any.
     temperatures: Temperatures | None = None
     passive: tuple[str, ...] = ()
-    # Where a free base may be in contact, unless its wrenches were measured.
+    # Possible contacts of a free base, unless its wrenches were measured.
     contacts: ContactFlags | None = None
-    left_out: str = ""  # what of the log is not used, in one line; "" if it is next to nothing
-    # Frames at which forces were measured that count as efforts.
-    force_sensors: tuple[str, ...] = ()
-    unmeasured: tuple[str, ...] = ()  # joints of a free base's limbs whose efforts nobody measured
+    left_out: str = ""  # note on unused data; "" if they are negligible
+    force_sensors: tuple[str, ...] = ()  # frames whose measured forces count as efforts
+    unmeasured: tuple[str, ...] = ()  # joints in limbs of a free base without measured efforts
 
     @property
     def output_counts(self) -> tuple[int, ...]:
-        """Return how many filtered and decimated samples each segment gives."""
+        """Number of filtered and decimated samples of each segment."""
         return tuple(self.filter.output_count(len(segment)) for segment in self.segments)
 
     @property
     def has_unknown_forces(self) -> bool:
-        """Return whether forces of the ground or motors are unknown, which rows must do without."""
+        """Whether equations must eliminate unknown forces of the ground or motors."""
         return self.contacts is not None or bool(self.unmeasured)
 
     @property
     def is_grounded(self) -> bool:
-        """Return whether ground forces act, so that only motors measure the loads of joints."""
+        """Whether ground forces act, so that only motor efforts show the loads of joints."""
         return self.contacts is not None or any(s[:1].ground is not None for s in self.segments)
 
     @property
     def ground_frames(self) -> tuple[str, ...]:
-        """Return frames at which the ground may push."""
+        """Frames at which ground forces may act."""
         return self.force_sensors if self.contacts is None else tuple(self.contacts.frames)
 
     def temperature(self, time: Array) -> Array | None:
-        """Return (N, n) temperatures at time stamps (N,), s, NaN at joints without; or None."""
+        """Return temperatures (N, n) at time stamps (N,), s; NaN where unknown, or None."""
         courses = self.temperatures
         return None if courses is None else courses.at(time - self.began, self.joints)
 
@@ -338,7 +335,7 @@ class Trajectory:
 def check_joints(
     name: str, joints: Sequence[str], model_joints: Sequence[str], *, partial: bool = False
 ) -> None:
-    """Raise a LogError unless the joints of the log of that name are the model's, in any order."""
+    """Raise a LogError unless a log has the joints of the model, in any order."""
     if joints and set(joints).isdisjoint(model_joints) and len(joints) > 1:
         raise LogError(
             f"Log {name!r} has the joints {', '.join(joints[:8])}, of which the model has none; it "

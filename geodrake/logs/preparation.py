@@ -1,4 +1,4 @@
-"""From raw logs to smooth uniform segments: gaps, standstills, jitter, bandwidth, derivatives."""
+"""Preparation of raw logs as smooth uniform segments, with derivatives."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from geodrake.logs.temperatures import Temperatures
 from geodrake.logs.uniform_log import UniformLog, make_uniform, naming_log, sample_parts
 from geodrake.logs.units_of_values import position_unit_hint
 
-LEAST_OUTPUTS = 10  # filtered samples that a log must give to be of use
-_STILL_SPEED, _SPEED_NOISE = 0.01, 4.0  # of the peak speed, and deviations of the speed's noise
-_SHARPER = 3.0  # bandwidth of the smoothed motion over that of efforts and regressors
-_CLEARLY = 2.0  # bandwidth of each log alone over that of all: less is chance
+LEAST_OUTPUTS = 10  # fewest filtered samples of a usable log
+_STILL_SPEED, _SPEED_NOISE = 0.01, 4.0  # of the peak speed, and in deviations of its noise
+_SHARPER = 3.0  # bandwidth of the smoothed motion relative to that of efforts and regressors
+_CLEARLY = 2.0  # bandwidth of each single log relative to that of all: less is chance
 _SPEED_AGREEMENT = 0.05  # relative RMS of measured velocity − derivative of position
-_LEAST_LEAN = 12  # samples near an end, where derivatives of splines are less exact
-_FREQUENCIES = 257  # at which the noise of accelerations is added up
-_NOTED_LOSS, _MUCH = 1e-3, 0.01  # of a log's time, that is said, and said before all else
-_ENDS, _MANY_ENDS = "at the ends of pieces", 0.1  # and how much of these is
+_LEAST_LEAN = 12  # samples at an end, where derivatives of splines are less accurate
+_FREQUENCIES = 257  # to integrate the spectrum of the acceleration noise
+_NOTED_LOSS, _MUCH = 1e-3, 0.01  # unused shares of a log that are noted, and noted first
+_ENDS, _MANY_ENDS = "at the ends of pieces", 0.1  # share of these that is noted first
 _NOTED_LAG = 0.1  # of the sampling period, between measured velocity and position
 
 
@@ -49,19 +49,19 @@ def prepare_logs(
     """Turn raw logs into smooth uniform segments and the filter for efforts and regressors.
 
     A log is split at NaN rows and gaps, resampled to its median time step, low-passed without lag
-    and differentiated, and standstills at its two ends are left out. Measured velocities are
-    used when they agree with the positions, apart from a lag, which is taken out.
+    and differentiated. Standstills at both ends are left out. Measured velocities are used if they
+    agree with the positions after correction of a lag.
 
-    Efforts and regressors are filtered later, which takes the noise from all that is linear in the
-    acceleration. The motion is therefore smoothed less than they are, so that the instants at
-    which joints turn round, where dry friction jumps, stay sharp.
+    Efforts and regressors are filtered later, which removes the noise of all terms linear in the
+    acceleration. The motion is therefore smoothed less, so that the reversals of joints, where dry
+    friction jumps, stay sharp.
 
     Args:
-        logs: The logs, all of the same joints; uniform ones if they are prepared more than once.
+        logs: Logs of the same joints; uniform ones if they are prepared more than once.
         bandwidth: Common bandwidth of efforts and regressors, Hz; by default chosen from the data.
         motion_bandwidth: Bandwidth of the smoothed motion, Hz; by default three times the other. It
-            is at most half the sampling rate, and a quarter where the ground pushes.
-        how: Where a given bandwidth comes from, for the notes.
+            is limited to half the sampling rate, or a quarter if ground forces act.
+        how: Origin of a given bandwidth, for the notes.
     """
     if not logs:
         raise ArgumentError("There are no logs.", advice="Use at least one.")
@@ -76,27 +76,27 @@ def prepare_logs(
         how = "chosen from the data"
         bandwidth = motion_bandwidth_of(uniform)
     sharp = motion_bandwidth or _SHARPER * bandwidth
-    found = []
+    trajectories = []
     for each in uniform:
         with naming_log(each.log):
-            found.append(_prepare(each, bandwidth, sharp, how))
-    return tuple(found)
+            trajectories.append(_prepare(each, bandwidth, sharp, how))
+    return tuple(trajectories)
 
 
 def motion_bandwidth_of(uniform: Sequence[UniformLog], *, time_scale: float = 1.0) -> float:
-    """Return the bandwidth of the motion in logs, Hz; their time may be on another scale.
+    """Return the bandwidth of the motion in logs, Hz, with time multiplied by a scale.
 
-    It is not clearly lower than that of each log alone, as the spectrum of a slow and a quick one.
+    If logs of slow and fast motions together have a clearly lower one than each, the latter counts.
     """
     moving = np.any([each.moving for each in uniform], axis=0)
     parts = [
         [(part.position[:, moving], each.period * time_scale) for part in sample_parts(each.pieces)]
         for each in uniform
     ]
-    chosen = choose_bandwidth([piece for own in parts for piece in own])
-    long = [own for own in parts if any(len(piece) >= LEAST_SPECTRUM for piece, _ in own)]
-    alone = min(map(choose_bandwidth, long)) if len(long) > 1 else chosen
-    return (alone if alone > _CLEARLY * chosen else chosen) * time_scale
+    chosen = choose_bandwidth([piece for pieces in parts for piece in pieces])
+    long = [pieces for pieces in parts if any(len(piece) >= LEAST_SPECTRUM for piece, _ in pieces)]
+    lowest = min(map(choose_bandwidth, long)) if len(long) > 1 else chosen
+    return (lowest if lowest > _CLEARLY * chosen else chosen) * time_scale
 
 
 def _prepare(
@@ -104,7 +104,7 @@ def _prepare(
 ) -> Trajectory:
     log, period = uniform.log, uniform.period
     low_pass = design_filter(period, bandwidth)
-    # Feet that touch the ground shake a robot at frequencies that no log holds.
+    # Impacts of feet excite frequencies above those that logs contain.
     on_feet = log.ground is not None or log.contacts is not None
     highest = HIGHEST_BANDWIDTH if on_feet else HIGHEST_MOTION
     smoother = design_filter(period, min(motion_bandwidth, highest / period), highest=highest)
@@ -114,7 +114,7 @@ def _prepare(
         f"{1 / low_pass.output_period:.4g} Hz"
     )
     long = tuple(p for p in uniform.pieces if low_pass.output_count(len(p)) > 0)
-    # Known before the work, which for a filter longer than the log is the longest there is.
+    # Checked before the smoothing, which takes longest if the filter is longer than the log.
     _check_outputs(uniform, low_pass, sum(low_pass.output_count(len(p)) for p in long))
     usable, standstill = replace(uniform, pieces=long), (0.0, 0.0)
     stretches: tuple[Stretch, ...] = ()
@@ -122,7 +122,7 @@ def _prepare(
         lag, note = _measured_lag(usable, smoother)
         notes += [note] if note else []
         whole = smooth_pieces(long, smoother, lag)
-        stretches, standstill = _of_use(usable, whole, (low_pass, smoother))
+        stretches, standstill = _trimmed(usable, whole, (low_pass, smoother))
     derived = np.any([stretch.derived for stretch in stretches], axis=0)
     temperatures = Temperatures.of(log.joints, log.time, log.temperature)
     if log.temperature is not None:
@@ -158,37 +158,37 @@ def _prepare(
 def _left_out(
     uniform: UniformLog, stretches: Sequence[Stretch], standstill: tuple[float, float]
 ) -> tuple[bool, str]:
-    """Return a note on data that are not used, and whether they are many; "" for none."""
-    time, of_pieces = uniform.log.time, uniform.seconds
-    known = time[np.isfinite(time)]
-    whole = max(float(known[-1] - known[0]), of_pieces)
+    """Return whether many data are unused, and a note on them, or ""."""
+    time, piece_seconds = uniform.log.time, uniform.seconds
+    stamps = time[np.isfinite(time)]
+    total = max(float(stamps[-1] - stamps[0]), piece_seconds)
     used = sum(map(len, stretches)) * uniform.period
-    held = sum(len(stretch.piece) for stretch in stretches) * uniform.period
+    stretch_seconds = sum(len(stretch.piece) for stretch in stretches) * uniform.period
     dropped = len(uniform.pieces) - len(stretches)
     parts = {
         "of standstill at the start": standstill[0],
         "of standstill at the end": standstill[1],
         f"in {dropped} of {len(uniform.pieces)} pieces, which are still or too short to filter": (
-            of_pieces - held
+            piece_seconds - stretch_seconds
         ),
-        _ENDS: held - used - sum(standstill),
-        "in gaps and empty cells": whole - of_pieces,
+        _ENDS: stretch_seconds - used - sum(standstill),
+        "in gaps and empty cells": total - piece_seconds,
     }
-    said = [f"{s:.3g} s {words}" for words, s in parts.items() if s > _NOTED_LOSS * whole]
+    losses = [f"{s:.3g} s {words}" for words, s in parts.items() if s > _NOTED_LOSS * total]
     lines = []
-    if said:
-        share = f"{100 * (whole - used) / whole:.2g} %"
-        lines = [f"{whole - used:.3g} of {whole:.4g} s ({share}) are not used: {', '.join(said)}"]
+    if losses:
+        share = f"{100 * (total - used) / total:.2g} %"
+        lines = [f"{total - used:.3g} of {total:.4g} s ({share}) are not used: {', '.join(losses)}"]
     if joints := uniform.log.left_out:
         named = ", ".join(joint or "''" for joint in joints)
         lines.append(f"not used, as the model has no such joint: {named}")
-    ends = parts[_ENDS]  # of which every log has some
-    is_much = whole - used - ends > _MUCH * whole or ends > _MANY_ENDS * whole or bool(joints)
+    ends = parts[_ENDS]  # every log loses some there
+    is_much = total - used - ends > _MUCH * total or ends > _MANY_ENDS * total or bool(joints)
     return is_much, "; ".join(lines)
 
 
 def _check_outputs(uniform: UniformLog, low_pass: ZeroPhaseFilter, outputs: int) -> None:
-    """Raise a LogError unless a log gives enough filtered samples."""
+    """Raise a LogError if a log gives too few filtered samples."""
     if outputs >= LEAST_OUTPUTS:
         return
     ends = 4 * low_pass.halfwidth * uniform.period
@@ -206,29 +206,29 @@ def _check_outputs(uniform: UniformLog, low_pass: ZeroPhaseFilter, outputs: int)
 def _measured_lag(
     uniform: UniformLog, smoother: ZeroPhaseFilter
 ) -> tuple[Array | None, str | None]:
-    """Return (n,) lag of measured velocities, s; NaN if positions are better.
+    """Return lags (n,), s, of measured velocities, and a note, or None for either.
 
-    The noise of positions is no disagreement: where it makes up their derivatives, measured
-    velocities are the better ones. None if there are none.
+    A lag is NaN if the velocity disagrees with the derivative of the position beyond the noise of
+    positions. Lags are None without measured velocities.
     """
-    truths, measured, slopes = [], [], []
+    truths, velocities, slopes = [], [], []
     inner = slice(smoother.halfwidth, -smoother.halfwidth)  # free of reflected data
     for part in sample_parts(uniform.pieces):
         if part.velocity is None:
             return None, None
         truths.append(differentiate(smoother.smooth(part.position), uniform.period)[inner])
         velocity = smoother.smooth(part.velocity)
-        measured.append(velocity[inner])
+        velocities.append(velocity[inner])
         slopes.append(differentiate(velocity, uniform.period)[inner])
-    truth, found, slope = (np.concatenate(signals) for signals in (truths, measured, slopes))
-    still = np.where(uniform.moving, 0.0, np.inf)
-    # Differences of positions, or a filter in the drive, make velocities late.
-    steepness = np.sum(slope**2, axis=0) + still
-    lag = np.sum((truth - found) * slope, axis=0) / np.where(steepness > 0.0, steepness, np.inf)
-    error = np.sum((found + lag * slope - truth) ** 2, axis=0)
+    truth, measured, slope = (np.concatenate(signals) for signals in (truths, velocities, slopes))
+    penalty = np.where(uniform.moving, 0.0, np.inf)
+    # Velocities lag if the drive filters them, or derives them from differences of positions.
+    power = np.sum(slope**2, axis=0) + penalty
+    lag = np.sum((truth - measured) * slope, axis=0) / np.where(power > 0.0, power, np.inf)
+    error = np.sum((measured + lag * slope - truth) ** 2, axis=0)
     error = np.maximum(error - len(truth) * _speed_noise(uniform, smoother) ** 2, 0.0)
-    # A joint that does not move in these parts says nothing against its velocities.
-    speed = np.sum(truth**2, axis=0) + still
+    # A joint that does not move in these parts is no evidence against its velocities.
+    speed = np.sum(truth**2, axis=0) + penalty
     relative = np.sqrt(error / np.where(speed > 0.0, speed, np.inf))
     worst, wrong = int(np.argmax(relative)), relative > _SPEED_AGREEMENT
     note = (
@@ -249,7 +249,7 @@ def _measured_lag(
 
 
 def _speed_noise(uniform: UniformLog, smoother: ZeroPhaseFilter) -> Array:
-    """Return (n,) deviation of white noise of the positions, low-passed and differentiated."""
+    """Return the deviations (n,) of white position noise, low-passed and differentiated."""
     cutoff = min(smoother.bandwidth, HIGHEST_BANDWIDTH / uniform.period)
     return uniform.noise * 2 * np.pi * cutoff * np.sqrt(2 * cutoff * uniform.period / 3)
 
@@ -257,54 +257,54 @@ def _speed_noise(uniform: UniformLog, smoother: ZeroPhaseFilter) -> Array:
 def _acceleration_noise(
     uniform: UniformLog, low_pass: ZeroPhaseFilter, derived: NDArray[np.bool_]
 ) -> Array:
-    """Return (n,) deviation of the accelerations' noise, for white noise of the positions.
+    """Return the deviations (n,) of the acceleration noise.
 
-    It is that of velocities that are measured and not `derived` (n,), or of accelerations.
+    White noise is assumed in positions, measured velocities unless `derived`, or accelerations.
     """
     parts = list(sample_parts(uniform.pieces))
     rate, power, weight = 1.0 / uniform.period, np.zeros(len(uniform.log.joints)), 0
     for part in parts:
-        # Differences are free of the motion's large slow part, which would leak into the noise.
+        # Differences suppress the large slow motion, which would leak into the noise.
         density = quiet_density(part.position, rate, low_pass.bandwidth, differences=2)
         if part.velocity is not None and not derived.all():
-            own = quiet_density(part.velocity, rate, low_pass.bandwidth, differences=1)
-            density = np.where(derived, density, own)
+            measured = quiet_density(part.velocity, rate, low_pass.bandwidth, differences=1)
+            density = np.where(derived, density, measured)
         if part.acceleration is not None:
-            own = quiet_density(part.acceleration, rate, low_pass.bandwidth)
-            density[[*part.measured]] = own
+            measured = quiet_density(part.acceleration, rate, low_pass.bandwidth)
+            density[[*part.measured]] = measured
         power += len(part) * density
         weight += len(part)
     orders = np.where(derived, 2, 1)
     orders[[*parts[0].measured]] = 0
     frequency = np.linspace(0.0, 2.0 * low_pass.bandwidth, _FREQUENCIES)
-    passed = low_pass.response(frequency) * (2.0 * np.pi * frequency) ** orders[:, None]
-    return np.sqrt(power / weight * np.trapezoid(passed**2, frequency))
+    gain = low_pass.response(frequency) * (2.0 * np.pi * frequency) ** orders[:, None]
+    return np.sqrt(power / weight * np.trapezoid(gain**2, frequency))
 
 
-def _of_use(
+def _trimmed(
     uniform: UniformLog,
     whole: Sequence[Stretch],
     filters: tuple[ZeroPhaseFilter, ZeroPhaseFilter],
 ) -> tuple[tuple[Stretch, ...], tuple[float, float]]:
-    """Return stretches that are of use, and seconds of standstill that go at both ends of these.
+    """Return the usable stretches, and the seconds of standstill removed at both ends of the log.
 
-    Samples near a piece's end go, where smoothing leans on reflected data, unless joints rest. Of a
-    standstill at an end of the log only what the filter needs stays.
+    Samples near a piece's end are removed unless joints rest, as smoothing uses reflected data
+    there. Of a standstill at an end of the log only the length of the filter remains.
     """
     low_pass, smoother = filters
     peak = np.max([stretch.peak_speed for stretch in whole], axis=0)
     threshold = np.maximum(_STILL_SPEED * peak, _SPEED_NOISE * _speed_noise(uniform, smoother))
     threshold = np.where(uniform.moving, threshold, np.inf)
     moving = [_first_and_last_moving(stretch, threshold) for stretch in whole]
-    busy = [k for k, ends in enumerate(moving) if ends is not None]
-    lean, reach = max(smoother.halfwidth, _LEAST_LEAN), low_pass.halfwidth
+    active = [k for k, ends in enumerate(moving) if ends is not None]
+    margin, reach = max(smoother.halfwidth, _LEAST_LEAN), low_pass.halfwidth
     kept, standstill = list[Stretch](), np.zeros(2)
-    for k in range(busy[0], busy[-1] + 1) if busy else ():
+    for k in range(active[0], active[-1] + 1) if active else ():
         stretch, ends = whole[k], moving[k]
         count = len(stretch)
         before, after = (count, count) if ends is None else (ends[0], count - 1 - ends[1])
-        still = np.maximum([before - reach, after - reach], 0) * [k == busy[0], k == busy[-1]]
-        first, last = np.maximum([lean - before, lean - after], still).tolist()
+        still = np.maximum([before - reach, after - reach], 0) * [k == active[0], k == active[-1]]
+        first, last = np.maximum([margin - before, margin - after], still).tolist()
         part = replace(stretch, first=first, stop=max(first, count - last))
         if low_pass.output_count(len(part)) > 0:
             kept.append(part)
@@ -313,7 +313,7 @@ def _of_use(
 
 
 def _first_and_last_moving(stretch: Stretch, threshold: Array) -> tuple[int, int] | None:
-    """Return the first and last sample at which a joint is faster than its threshold (n,)."""
+    """Return the first and last sample at which a joint exceeds its speed threshold (n,)."""
 
     def moving(chunks: Iterator[tuple[int, Segment]]) -> Iterator[NDArray[np.intp]]:
         for first, chunk in chunks:

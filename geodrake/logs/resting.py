@@ -10,69 +10,69 @@ from numpy.typing import ArrayLike, NDArray
 from geodrake.boundary.arguments import Array
 
 LARGEST = 1e9
-"""Magnitude that positions, velocities and efforts of robots in SI units do not exceed."""
+"""Largest plausible magnitude of positions, velocities and efforts in SI units."""
 
-_SHARE = 0.01  # of what the joint of its kind moves that moves most: less is rest
-_FAR = 1.0  # rad or m; that a wheel turns a hundred times makes no joint of an arm rest
-_STILL = 2e-3  # rad or m, where no joint of its kind moves
-_SAMPLES = 100_000  # of a log, by which its noise is judged
-_WIDTH = 9.0  # deviations of noise between the least and the largest of very many samples
-_WALK = 4.0  # deviations of a random walk's end, beyond which next to none gets
-_COARSE = 0.02  # rad or m: no encoder's steps are that far apart
-_STEPS = 3.5  # of an encoder, between which a position at rest may change
+_SHARE = 0.01  # of the largest range of a joint of its kind: less is rest
+_FAR = 1.0  # rad or m, limit of that range, so that a spinning wheel makes no other joint rest
+_STILL = 2e-3  # rad or m, threshold if no joint of its kind moves
+_SAMPLES = 100_000  # of a log, to estimate its noise
+_WIDTH = 9.0  # range of very many samples of noise, in deviations
+_WALK = 4.0  # deviations of the end of a random walk: hardly any goes farther
+_COARSE = 0.02  # rad or m, larger than the resolution of any encoder
+_STEPS = 3.5  # of an encoder, range of a position at rest
 
 
 def readings(column: Array) -> Array:
-    """Return values that were measured and are plausible."""
-    return column[np.abs(column) <= LARGEST]  # which NaN is not
+    """Return the plausible measured values of a column."""
+    return column[np.abs(column) <= LARGEST]  # excludes NaN
 
 
 def logged_ranges(positions: Sequence[Array]) -> tuple[Array, Array, Array]:
-    """Return the range of positions of joints over all logs, and that caused by noise.
+    """Return the least and largest positions (n,) over all logs, and the range (n,) due to noise.
 
-    Positions (N, n) of each log are in rad or m. Returned are the (n,) least and largest, NaN of a
-    joint that was not measured, and the (n,) width that noise and steps of encoders have at rest.
+    Positions (N, n) of each log are in rad or m. Bounds are NaN for joints without measurements.
+    Noise includes the quantization of encoders.
     """
     joints = positions[0].shape[1]
-    low, high, wide = np.full(joints, np.nan), np.full(joints, np.nan), np.zeros(joints)
+    low, high, width = np.full(joints, np.nan), np.full(joints, np.nan), np.zeros(joints)
     for j in range(joints):
         for measured in positions:
-            here = readings(measured[:, j])
-            if len(here):
-                low[j] = np.fmin(low[j], here.min())
-                high[j] = np.fmax(high[j], here.max())
-                wide[j] = max(wide[j], _width(here[:_SAMPLES]))
-    return low, high, wide
+            values = readings(measured[:, j])
+            if len(values):
+                low[j] = np.fmin(low[j], values.min())
+                high[j] = np.fmax(high[j], values.max())
+                width[j] = max(width[j], _width(values[:_SAMPLES]))
+    return low, high, width
 
 
 def resting(
     low: ArrayLike, high: ArrayLike, sliding: ArrayLike, noise: ArrayLike = 0.0
 ) -> NDArray[np.bool_]:
-    """Return (n,) whether joints hardly move, compared with others of their kind.
+    """Return whether joints (n,) hardly move, compared with others of their kind.
 
-    Each is told by its least and largest position, rad or m if `sliding`, and by the part of that
-    range that is noise.
+    Arguments (n,) are the least and largest positions, rad, or m if `sliding`, and the part of the
+    range due to noise.
     """
     sliding = np.asarray(sliding, bool)
-    reach = np.maximum(np.subtract(high, low) - noise, 0.0)
-    most = np.zeros(len(reach))
+    travel = np.maximum(np.subtract(high, low) - noise, 0.0)
+    largest = np.zeros(len(travel))
     for kind in (sliding, ~sliding):
-        most[kind] = np.fmax.reduce(reach[kind], initial=0.0)
-    limit = np.where(most > _STILL, _SHARE * np.minimum(most, _FAR), _STILL)
-    return np.asarray(reach <= limit)  # NaN is no rest
+        largest[kind] = np.fmax.reduce(travel[kind], initial=0.0)
+    limit = np.where(largest > _STILL, _SHARE * np.minimum(largest, _FAR), _STILL)
+    return np.asarray(travel <= limit)  # NaN does not rest
 
 
 def travels(velocity: Array, period: float, least: float) -> bool:
-    """Return whether measured velocities add up to a motion that their noise does not explain.
+    """Return whether the integral of measured velocities shows more motion than noise explains.
 
-    White noise adds up to a random walk; a motion counts from `least` on.
+    Integrated white noise is a random walk. A motion is at least `least` long.
     """
     walk = _WALK * _white_noise(velocity) * np.sqrt(len(velocity)) * period
     return bool(np.ptp(np.cumsum(velocity)) * period > max(least, walk))
 
 
 def _width(position: Array) -> float:
-    """Return the range caused by noise and quantization at rest."""
+    """Return the range of positions at rest due to noise and quantization."""
     changes = np.abs(np.diff(position))
     step = float(changes.min(initial=np.inf, where=changes > 0.0))
     steps = min(_STEPS * step, _COARSE) if np.isfinite(step) else 0.0
@@ -80,6 +80,6 @@ def _width(position: Array) -> float:
 
 
 def _white_noise(signal: Array) -> float:
-    """Return the deviation of the white noise of a signal."""
-    bends = np.abs(np.diff(signal, 4))  # in which next to nothing of a motion is left
-    return float(np.median(bends)) / (0.6745 * np.sqrt(70.0)) if len(bends) else 0.0
+    """Return the standard deviation of the white noise in a signal."""
+    differences = np.abs(np.diff(signal, 4))  # suppresses the motion
+    return float(np.median(differences)) / (0.6745 * np.sqrt(70.0)) if len(differences) else 0.0

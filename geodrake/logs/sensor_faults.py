@@ -1,13 +1,13 @@
 """Sensor faults: outliers, wraps, stuck readings, impossible values.
 
-A fault of a sensor is told from motion by size: from one row to the next a robot moves about as far
-as it does elsewhere in the log, and a sensor jumps as it likes. On 97 joints of 20 public logs
+A fault differs from motion by its size: a robot's steps from row to row are of similar size
+throughout a log, whereas those of a faulty sensor are arbitrary. On 97 joints of 20 public logs
 (UR10e, TX40, EMPS, LWR4, KR300 and a double pendulum at 100 Hz to 1 kHz, with payloads, pushes and
-quick turns) the largest step of a position is 2.2 times an ordinary one, at 15 rad/s; that of a
-velocity 12 times, at 1,800 rad/s²; that of an effort 14 times, at 1.2e6 N·m/s. Efforts stay the
-same for 0.02 s at most while their joint moves, and positions while theirs goes on by 4e-4 rad. The
-thresholds are some ten times that. One or two readings that come back at once differ from those
-beside them by 6.5 ordinary steps at most. What is found is left out, as an empty cell is, and said.
+fast reversals) the largest step of a position is 2.2 times an ordinary one, at 15 rad/s; that of a
+velocity 12 times, at 1,800 rad/s²; that of an effort 14 times, at 1.2e6 N·m/s. While a joint moves,
+its effort is constant for at most 0.02 s, and its position until it has moved by 4e-4 rad. The
+thresholds are about ten times as large. Deviations that last one or two rows are at most 6.5
+ordinary steps high. Faulty readings are treated as empty cells, and reported.
 """
 
 from __future__ import annotations
@@ -30,30 +30,30 @@ from geodrake.logs.units_of_values import check_ticks
 Indices = NDArray[np.intp]
 
 _JUMP = {"position": (20.0, 20.0), "velocity": (100.0, 1e5), "effort": (100.0, 1e7)}
-"""How many ordinary steps a jump has, and its least rate, in units of the quantity a second."""
+"""Least size of a jump, in ordinary steps, and its least rate, in units of the quantity per s."""
 
 _BLOCK, _ORDINARY = 50, 0.75  # rows, and the share of such blocks without a larger step
-_FEW = 5  # rows after which a spike is over
-_MOST, _ENOUGH = 0.99, 200_000  # share of steps that are ordinary, and how many tell
-_BRIEF = 2  # rows of a spike that may be of any rate
-_APART, _SMALL = 15.0, 4.0  # ordinary steps: spikes are higher where none is between these
-_BACK = 0.15  # of a spike's height by which the reading after it may differ from that before
-_ALONE = 0.05  # of a jump that the steps before and after it have at most
-_TURNS, _WRAP = (2.0 * np.pi, 360.0), 0.05  # one turn, and the share of it that a wrap may be off
-_FROZEN_SECONDS, _FROZEN_ROWS = 0.25, 20  # that a frozen reading lasts at least
-_MOVING = 0.1, 0.01, 0.02  # share of the peak speed, rad/s or m/s, and rad or m: a joint that moves
+_FEW = 5  # rows, longest spike
+_MOST, _ENOUGH = 0.99, 200_000  # share of steps that are ordinary, and number of steps examined
+_BRIEF = 2  # rows, longest spike below the rate of a jump
+_APART, _SMALL = 15.0, 4.0  # ordinary steps: higher spikes count if none is between these
+_BACK = 0.15  # of a spike's height, largest difference of the readings before and after it
+_ALONE = 0.05  # of a jump, largest step just before and after it
+_TURNS, _WRAP = (2.0 * np.pi, 360.0), 0.05  # one turn, and the tolerance of a wrap relative to it
+_FROZEN_SECONDS, _FROZEN_ROWS = 0.25, 20  # shortest duration of a frozen reading
+_MOVING = 0.1, 0.01, 0.02  # share of the peak speed, rad/s or m/s, and rad or m: a moving joint
 _HELD_RANGE, _HELD_SPEED = 2e-3, 0.05  # rad or m, and of the fastest joint's RMS: a held joint
-_CATCH_UP = 3.0  # largest steps elsewhere that a frozen position makes at its end
-_RARE = 20.0  # times that a frozen effort lasts as long as 99 % of the runs of equal efforts
-_MOST_FROZEN = 0.5  # of a log, above which the rest says nothing of the robot
+_CATCH_UP = 3.0  # step at the end of a frozen position, relative to the largest elsewhere
+_RARE = 20.0  # duration of a frozen effort relative to the 99 % quantile of constant efforts
+_MOST_FROZEN = 0.5  # of a log; if more is frozen, the log is refused
 
 
 def without_faults(log: JointLog) -> JointLog:
     """Return a log without its sensor faults, with notes; itself if it has none.
 
-    Positions that wrap at a full turn are unwrapped. Readings that jump far and come back within a
-    few rows become NaN, as do positions and efforts that are stuck while the joint moves, and the
-    last position before a jump that stays.
+    Positions that wrap at a full turn are unwrapped. Readings become NaN if they jump and return
+    within a few rows, and if positions or efforts are stuck while the joint moves. So do the last
+    positions before a permanent jump.
     """
     check_ticks(log)
     steps = np.diff(log.time[np.isfinite(log.time)])
@@ -62,11 +62,11 @@ def without_faults(log: JointLog) -> JointLog:
     period, notes, repaired = float(np.median(steps)), list(log.notes), dict[str, Any]()
     for quantity in _JUMP:
         for joint in range(0 if getattr(log, quantity) is None else len(log.joints)):
-            with np.errstate(over="ignore"):  # of steps between numbers that are no readings
-                column, found = _Sensor.of(log, quantity, joint, period).repaired()
-            if found:
+            with np.errstate(over="ignore"):  # by corrupt numbers
+                column, messages = _Sensor.of(log, quantity, joint, period).repaired()
+            if messages:
                 repaired.setdefault(quantity, getattr(log, quantity).copy())[:, joint] = column
-                notes += found
+                notes += messages
     return replace(log, **repaired, notes=tuple(notes)) if repaired else log
 
 
@@ -78,13 +78,13 @@ class _Sensor:
     quantity: str
     joint: int
     period: float  # typical time between rows, s
-    rows: Indices | slice  # (K,) rows that are no empty cells; all of them if a slice
+    rows: Indices | slice  # (K,) rows with readings; a slice for all
     time: Array  # (K,) instants, s
     values: Array  # (K,) readings
 
     @classmethod
     def of(cls, log: JointLog, quantity: str, joint: int, period: float) -> _Sensor:
-        """Return the sensor of a quantity of a joint."""
+        """Return the measurements of a quantity of a joint."""
         column = getattr(log, quantity)[:, joint]
         known = np.isfinite(column) & np.isfinite(log.time)
         rows = slice(None) if known.all() else np.flatnonzero(known)
@@ -92,25 +92,25 @@ class _Sensor:
 
     @property
     def name(self) -> str:
-        """Such as `position of elbow`."""
+        """Name in messages, such as `position of elbow`."""
         return f"{self.quantity} of {self.log.joints[self.joint]}"
 
     def repaired(self) -> tuple[Array, list[str]]:
-        """Return the column (N,) of the log without faults, and a description of them."""
+        """Return the log's column (N,) without faults, and notes on these."""
         column = getattr(self.log, self.quantity)[:, self.joint]
         values, words = self._unwrapped() if self.quantity == "position" else (self.values, "")
         notes = [f"the {self.name} {words}"] if words else []
-        lost = np.zeros(len(values), bool)
+        invalid = np.zeros(len(values), bool)
         for where, words in replace(self, values=values)._faults():
-            lost[where] = True
+            invalid[where] = True
             notes.append(f"the {self.name} {words}: not used")
         if notes:
             column = column.copy()
-            column[self.rows] = np.where(lost, np.nan, values)
+            column[self.rows] = np.where(invalid, np.nan, values)
         return column, notes
 
     def _faults(self) -> Iterator[tuple[Indices | slice, str]]:
-        """Yield invalid readings, and what is wrong with them."""
+        """Yield invalid readings, and descriptions of their faults."""
         jumps = self._jumps()
         spikes = self._spikes(jumps)
         if len(spikes):
@@ -137,7 +137,7 @@ class _Sensor:
             yield slice(first, last + 1), words
             explained.append(np.array([last]))
         if self.quantity == "position":
-            yield from self._stays(np.setdiff1d(jumps, np.concatenate(explained)))
+            yield from self._permanent_jumps(np.setdiff1d(jumps, np.concatenate(explained)))
 
     def _check_possible(self, spikes: Indices) -> None:
         """Raise a LogError for impossible readings other than outliers."""
@@ -156,24 +156,24 @@ class _Sensor:
         steps = np.diff(self.values)
         fast = np.abs(steps) > _JUMP["position"][1] * np.maximum(np.diff(self.time), self.period)
         for turn in _TURNS if fast.any() else ():
-            near = fast & (np.abs(np.abs(steps) - turn) < _WRAP * turn)
-            rest = np.abs(np.where(near, steps - np.copysign(turn, steps), steps))
-            beside = np.concatenate([[0.0], rest, [0.0]])  # the joint moves on as it did
-            ordinary = np.maximum(np.maximum(beside[:-2], beside[2:]), _typical(rest))
-            near &= (rest <= 2.0 * ordinary) & (np.abs(steps) > 5.0 * ordinary)
-            if near.any():
-                turns = np.concatenate([[0.0], np.cumsum(np.where(near, np.sign(steps), 0.0))])
-                words = f"wraps at {turn:.4g}, {np.count_nonzero(near)} times, the first "
-                words += f"at t = {self.time[int(np.argmax(near))]:.2f} s: unwrapped"
+            wraps = fast & (np.abs(np.abs(steps) - turn) < _WRAP * turn)
+            residual = np.abs(np.where(wraps, steps - np.copysign(turn, steps), steps))
+            padded = np.concatenate([[0.0], residual, [0.0]])  # speeds change little at a wrap
+            ordinary = np.maximum(np.maximum(padded[:-2], padded[2:]), _typical(residual))
+            wraps &= (residual <= 2.0 * ordinary) & (np.abs(steps) > 5.0 * ordinary)
+            if wraps.any():
+                turns = np.concatenate([[0.0], np.cumsum(np.where(wraps, np.sign(steps), 0.0))])
+                words = f"wraps at {turn:.4g}, {np.count_nonzero(wraps)} times, the first "
+                words += f"at t = {self.time[int(np.argmax(wraps))]:.2f} s: unwrapped"
                 values = self.values - turn * turns
-                middle = 0.5 * (values.min() + values.max())
+                center = 0.5 * (values.min() + values.max())
                 if self.values.min() >= 0.0 and np.ptp(values) < turn:  # zero is at 0 or a turn
-                    values -= turn * np.rint(middle / turn)
+                    values -= turn * np.rint(center / turn)
                 return values, words
         return self.values, ""
 
     def _jumps(self) -> Indices:
-        """Return the readings before impossible steps."""
+        """Return the indices of the readings before impossible steps."""
         steps = self._steps
         ratio, rate = _JUMP[self.quantity]
         if not steps.max(initial=0.0) > rate * self.period:
@@ -183,7 +183,7 @@ class _Sensor:
 
     @cached_property
     def _steps(self) -> Array:
-        """(K − 1,) sizes of the steps from reading to reading."""
+        """(K − 1,) sizes of the steps between readings."""
         return np.abs(np.diff(self.values))
 
     @cached_property
@@ -192,30 +192,30 @@ class _Sensor:
         return _typical(self._steps)
 
     def _spikes(self, jumps: Indices) -> Indices:
-        """Return readings between a jump and the way back, and those at an end of the log.
+        """Return the readings between a jump and the return, or an end of the log.
 
-        Readings that come back after one or two rows are higher than a jump, or than `_APART` where
-        nothing lies between, as efforts of links with play have all heights.
+        Deviations of one or two rows must be as high as a jump, or as `_APART` if none is lower:
+        efforts of joints with backlash have deviations of all heights.
         """
-        some = self._steps[:: len(self._steps) // _ENOUGH + 1]  # a joint may rest most of the time
-        ordinary = max(self._ordinary, float(np.quantile(some, _MOST)) if len(some) else 0.0)
-        found = [*self._excursions(jumps, ordinary or np.inf)]
-        are_apart = all(height > _APART for _, height in found)
+        sample = self._steps[:: len(self._steps) // _ENOUGH + 1]  # most blocks may be at rest
+        ordinary = max(self._ordinary, float(np.quantile(sample, _MOST)) if len(sample) else 0.0)
+        spikes = [*self._excursions(jumps, ordinary or np.inf)]
+        are_apart = all(height > _APART for _, height in spikes)
         least = _APART if are_apart else _JUMP[self.quantity][0]
-        return np.concatenate([np.zeros(0, int), *(rows for rows, high in found if high > least)])
+        return np.concatenate([np.zeros(0, int), *(rows for rows, high in spikes if high > least)])
 
     def _excursions(self, jumps: Indices, ordinary: float) -> Iterator[tuple[Indices, float]]:
-        """Yield rows that leave those before and come back, and their height in ordinary steps.
+        """Yield rows that deviate from those before and after, and their height in ordinary steps.
 
-        The height is infinite after a jump, which comes back later, or begins or ends a log.
+        The height is infinite for jumps, which may last longer, and start or end a log.
         """
         values, last, steps = self.values, len(self.values) - 1, self._steps
-        begun = np.flatnonzero(steps > _SMALL * ordinary)
-        begun = begun[begun < last - _BRIEF]
-        ways = np.abs(values[begun[:, None] + np.arange(2, 2 + _BRIEF)] - values[begun, None])
-        begun = begun[ways.min(axis=1) <= _BACK * steps[begun]]
+        starts = np.flatnonzero(steps > _SMALL * ordinary)
+        starts = starts[starts < last - _BRIEF]
+        returns = np.abs(values[starts[:, None] + np.arange(2, 2 + _BRIEF)] - values[starts, None])
+        starts = starts[returns.min(axis=1) <= _BACK * steps[starts]]
         impossible, free = set(jumps.tolist()), 0
-        for before in np.union1d(jumps, begun).tolist():
+        for before in np.union1d(jumps, starts).tolist():
             if before < free:
                 continue
             height, jumped = steps[before], before in impossible
@@ -232,20 +232,20 @@ class _Sensor:
                 continue
             yield np.arange(start, free), np.inf if jumped else float(height) / ordinary
 
-    def _stays(self, jumps: Indices) -> Iterator[tuple[slice, str]]:
-        """Yield readings before jumps that do not return, as many as make a gap there."""
+    def _permanent_jumps(self, jumps: Indices) -> Iterator[tuple[slice, str]]:
+        """Yield the readings before each permanent jump, so many that they form a gap."""
         steps = self._steps
         for before in jumps.tolist():
-            beside = steps[max(0, before - 1) : before], steps[before + 1 : before + 2]
-            if max(step.max(initial=0.0) for step in beside) <= _ALONE * steps[before]:
-                there = f"{self.values[before]:.4g} to {self.values[before + 1]:.4g}"
-                words = f"jumps from {there} at t = {self.time[before]:.2f} s and stays there"
+            neighbours = steps[max(0, before - 1) : before], steps[before + 1 : before + 2]
+            if max(step.max(initial=0.0) for step in neighbours) <= _ALONE * steps[before]:
+                values = f"{self.values[before]:.4g} to {self.values[before + 1]:.4g}"
+                words = f"jumps from {values} at t = {self.time[before]:.2f} s and stays there"
                 gap = longest_step(self.period) + self.period
                 first = int(np.searchsorted(self.time, self.time[before + 1] - gap))
                 yield slice(first, before + 1), f"{words}, the {before + 1 - first} rows before it"
 
     def _frozen(self, jumps: Indices) -> Iterator[tuple[int, int]]:
-        """Yield the first and last reading of stretches that are the same while the joint moves."""
+        """Yield the first and last readings of constant stretches in which the joint moves."""
         steps = self._steps.copy()
         edges = np.concatenate([[-1], np.flatnonzero(steps), [len(steps)]])
         lengths = np.diff(edges)
@@ -256,7 +256,7 @@ class _Sensor:
             least = max(least, round(_RARE * float(np.quantile(lengths, 0.99))))
         runs = np.flatnonzero(lengths >= least)
         firsts, lasts = edges[runs] + 1, edges[runs + 1]
-        ends = np.append(steps, 0.0)[lasts]  # steps that runs end with; none at the log's end
+        ends = np.append(steps, 0.0)[lasts]  # steps at the ends of runs; zero at the end of the log
         steps[jumps] = steps[lasts[lasts < len(steps)]] = 0.0
         limit = max(_JUMP["position"][1] * self.period, _CATCH_UP * float(steps.max(initial=0.0)))
         for first, last, end in zip(firsts.tolist(), lasts.tolist(), ends.tolist(), strict=True):
@@ -273,13 +273,13 @@ class _Sensor:
         share, speed, least = _MOVING
         if self._rests:
             return False
-        here = self._velocity[run]
-        moves = np.abs(here).mean() > max(share * np.abs(self._velocity).max(), speed)
-        return bool(moves) and travels(here, self.period, least)
+        velocity = self._velocity[run]
+        moves = np.abs(velocity).mean() > max(share * np.abs(self._velocity).max(), speed)
+        return bool(moves) and travels(velocity, self.period, least)
 
     @cached_property
     def _rests(self) -> bool:
-        """Whether positions are constant, and velocities small compared with those of others."""
+        """Whether positions are constant, and velocities small compared with other joints."""
         if np.ptp(self.values) > _HELD_RANGE or self.log.velocity is None:
             return False
         squares = np.square(np.clip(self.log.velocity, -LARGEST, LARGEST))
@@ -288,24 +288,24 @@ class _Sensor:
 
     @cached_property
     def _velocity(self) -> Array:
-        """(K,) measured velocities, or 0."""
+        """(K,) measured velocities; 0 where missing."""
         if self.log.velocity is None:
             return np.zeros(len(self.values))
         velocity = self.log.velocity[:, self.joint][self.rows]
         return np.where(np.isfinite(velocity), velocity, 0.0)
 
     def _is_frozen_effort(self, run: slice) -> bool:
-        """Return whether the joint moves; a drive may saturate at its largest effort, or be off."""
+        """Return whether the joint moves; efforts may stay at zero or at the limit of the drive."""
         if self.values[run.start] in (0.0, self.values.min(), self.values.max()):
             return False
         position = self.log.position[:, self.joint][self.rows][run]
         position = position[np.isfinite(position)]
         low, high = np.quantile(position, [0.05, 0.95]) if len(position) else (0.0, 0.0)
-        return bool(high - low > _MOVING[2])  # a spike is no motion
+        return bool(high - low > _MOVING[2])  # quantiles ignore spikes
 
 
 def _typical(steps: Array) -> float:
-    """Return the step that three of four blocks of a log do not go beyond."""
+    """Return the size of an ordinary step: the 75 % quantile of the largest steps of blocks."""
     whole = len(steps) // _BLOCK * _BLOCK
     if not whole:
         return float(steps.max(initial=0.0))

@@ -1,4 +1,4 @@
-"""Temperatures of joints through a log."""
+"""Temperatures of joints during a log."""
 
 from __future__ import annotations
 
@@ -10,54 +10,54 @@ from numpy.typing import ArrayLike
 
 from geodrake.boundary.arguments import Array
 
-_FAILED = (-1.0, 0.0, 127.0, 255.0, (255.0 - 32.0) / 1.8)  # °C, what sensors that fail read
-_ROUNDING = 1e-4  # °C, of conversions and of numbers of 32 bits
-_NEAR = 5.0  # °C, from one of these within which another reading may make it a true one
-_SECOND = 1.0  # over which readings are averaged, as they come in whole degrees and change slowly
+_FAILED = (-1.0, 0.0, 127.0, 255.0, (255.0 - 32.0) / 1.8)  # °C, readings of failed sensors
+_ROUNDING = 1e-4  # °C, of conversions and 32-bit numbers
+_NEAR = 5.0  # °C; such a reading is valid if another one is closer to it than this
+_SECOND = 1.0  # s, over which readings are averaged, as they change slowly, by whole degrees
 
 
 @dataclass(frozen=True, eq=False)
 class Temperatures:
-    """Courses of the temperatures of joints."""
+    """Temperatures of joints over time."""
 
-    # Joint -> instants since its log began (K,), s, and temperatures (K,), °C.
+    # Joint -> instants (K,), s since the log began, and temperatures (K,), °C.
     courses: Mapping[str, tuple[Array, Array]]
 
     @classmethod
     def of(cls, joints: Sequence[str], time: Array, readings: Array | None) -> Temperatures | None:
-        """Return the courses of measured temperatures, averaged second by second.
+        """Return measured temperatures, averaged over seconds, or None.
 
-        Readings (N, n), °C, of sensors that fail are left out, such as 0 far from all others.
+        Readings (N, n), °C, of failed sensors are left out, such as 0 far from all others.
         """
         if readings is None:
             return None
         since = time - time[np.isfinite(time)][0]
-        both = zip(joints, map(_without_failed, readings.T), strict=True)
-        courses = {joint: _averaged(since, own) for joint, own in both if np.isfinite(own).any()}
+        pairs = zip(joints, map(_without_failed, readings.T), strict=True)
+        courses = {joint: _averaged(since, raw) for joint, raw in pairs if np.isfinite(raw).any()}
         return cls(courses) if courses else None
 
     def at(self, time: ArrayLike, joints: Sequence[str]) -> Array:
-        """Return (N, n), °C, at instants (N,), s since the log began; NaN at joints without."""
+        """Return temperatures (N, n), °C, or NaN, at instants (N,), s since the log began."""
         instants = np.atleast_1d(np.asarray(time, float))
-        found = np.full((len(instants), len(joints)), np.nan)
+        temperatures = np.full((len(instants), len(joints)), np.nan)
         for j, joint in enumerate(joints):
             if joint in self.courses:
-                found[:, j] = np.interp(instants, *self.courses[joint])
-        return found
+                temperatures[:, j] = np.interp(instants, *self.courses[joint])
+        return temperatures
 
 
 def _without_failed(readings: Array) -> Array:
-    """Return readings (N,), NaN where the sensor fails."""
+    """Return readings (N,), with NaN where the sensor failed."""
     failed = {value: np.isclose(readings, value, rtol=0.0, atol=_ROUNDING) for value in _FAILED}
-    true = ~np.any([*failed.values()], axis=0) & np.isfinite(readings)
+    valid = ~np.any([*failed.values()], axis=0) & np.isfinite(readings)
     for value in _FAILED:
-        if not np.any(np.abs(readings[true] - value) <= _NEAR):
+        if not np.any(np.abs(readings[valid] - value) <= _NEAR):
             readings = np.where(failed[value], np.nan, readings)
     return readings
 
 
 def _averaged(time: Array, readings: Array) -> tuple[Array, Array]:
-    """Return means (K,) of time and readings (N,) over every second with readings."""
+    """Average time and readings (N,) over each of the K seconds with readings."""
     known = np.isfinite(readings) & np.isfinite(time)
     seconds = np.floor(time[known] / _SECOND)
     _, second, counts = np.unique(seconds, return_inverse=True, return_counts=True)

@@ -1,4 +1,4 @@
-"""A raw log seen at uniform instants: gaps, empty cells and jitter, and which joints move."""
+"""Raw logs at uniform instants: gaps, empty cells, jitter, and moving joints."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from geodrake.logs.smoothing import Piece
 from geodrake.logs.time_stamps import longest_step
 from geodrake.logs.units_of_values import row_order_hint
 
-_STEP_ROWS = 20_000  # of a log that are looked at
-_FEWEST, _MOST = 3, 500  # steps between the least and the greatest value
-_STEP_TOLERANCE = 0.1  # of a distance between values, as printed numbers are rounded
-_SHARE = 0.95  # of the distances between values that are whole steps
+_STEP_ROWS = 20_000  # of a log that are examined
+_FEWEST, _MOST = 3, 500  # different values, and steps in the range of values
+_STEP_TOLERANCE = 0.1  # of differences between values, as printed numbers are rounded
+_SHARE = 0.95  # of differences between values that are whole steps
 _ROUNDING = 1e-9  # of the largest value
-_LEAST_SHARE = 0.25  # of the noise's power that steps make
+_LEAST_SHARE = 0.25  # of quantization in the power of the noise
 
 
 def step_notes(log: JointLog) -> Iterator[str]:
-    """Yield notes on efforts whose quantization, s/√12 for steps s, is much of their noise."""
+    """Yield notes on efforts with much quantization noise, s/√12 for steps s."""
     steps = dict(zip(log.joints, effort_steps(log).tolist(), strict=True))
     coarse = {joint: step for joint, step in steps.items() if step > 0.0}
     each = (f"{joint} {s:.3g} (noise {s / np.sqrt(12.0):.2g})" for joint, s in coarse.items())
@@ -39,12 +39,12 @@ def step_notes(log: JointLog) -> Iterator[str]:
 
 
 def effort_steps(log: JointLog) -> Array:
-    """Return (n,) quantization steps of each joint's efforts; 0 where noise hides them."""
+    """Return the quantization steps (n,) of efforts; 0 if noise hides them."""
     return np.array([_step(column) for column in log.effort[:_STEP_ROWS].T])
 
 
 def _step(readings: Array) -> float:
-    """Return the quantization step of readings (N,) in time, or 0."""
+    """Return the quantization step of a signal (N,), or 0 if noise hides it."""
     readings = readings[np.isfinite(readings)]
     values = np.unique(readings)
     if len(values) < _FEWEST:
@@ -61,63 +61,63 @@ def _step(readings: Array) -> float:
     return 0.0
 
 
-# Where gaps of that length leave more than this share of the time in pieces shorter than this,
-# s, stamps are uneven, and steps of up to so many seconds are bridged.
+# Stamps are uneven if gaps leave more than this share of the time in pieces shorter than this, s;
+# steps up to this length, s, are then bridged.
 _MOST_SCRAPS, _SCRAP, _LONGEST_BRIDGE = 0.2, 2.0, 0.2
-_LEAST_ROWS = 8  # of a piece worth resampling
+_LEAST_ROWS = 8  # of a piece
 _LONGEST_PERIOD = 0.5  # s; at 2 Hz and less, positions say nothing about accelerations
 _SHORTEST_PERIOD = 1e-5  # s; no robot is logged at more than 100 kHz
-_COARSEST = 0.1  # of a period, to which time stamps are to be distinguished
-_STILL_RANGE, _STILL_NOISE = 2e-3, 20.0  # rad or m, and noise deviations, of a joint at rest
-_ALIKE = 0.1  # of a clock, by which joints may differ in what they say of it
-# Samples, how many such parts of a log are looked at for a choice, and samples of all of them.
+_COARSEST = 0.1  # of a period, coarsest resolution of time stamps
+_STILL_RANGE, _STILL_NOISE = 2e-3, 20.0  # rad or m, and noise deviations: a joint at rest
+_ALIKE = 0.1  # relative tolerance of the time scales of different joints
+# Samples in a part of a log, number of parts used for estimates, and samples in all of these.
 _PART, _PARTS, _LOOKED_AT = 100_000, 8, 200_000
 
 
 @dataclass(frozen=True, eq=False)
 class UniformLog:
-    """A log in uniform pieces, and which of its joints move."""
+    """A log in uniform pieces."""
 
     log: JointLog
     pieces: tuple[Piece, ...]
     period: float  # time between samples, s
-    noise: Array  # (n,) deviation of the noise of the positions, rad or m
-    moving: NDArray[np.bool_]  # (n,) whether a joint moves
+    noise: Array  # (n,) standard deviations of the position noise, rad or m
+    moving: NDArray[np.bool_]  # (n,) whether joints move
     notes: tuple[str, ...]
 
     @property
     def seconds(self) -> float:
-        """Length of all pieces together, s."""
+        """Total length of the pieces, s."""
         return sum(map(len, self.pieces)) * self.period
 
     @property
     def time_scale(self) -> float:
-        """Factor of time that matches positions to measured velocities.
+        """Factor of time by which derivatives of positions match measured velocities.
 
-        It is NaN without these, if most joints do not agree on it, or if its period is impossible.
+        It is NaN without velocities, if most joints disagree, or if its period is impossible.
         """
-        both = [
+        pairs = [
             (np.diff(part.position, axis=0) / self.period, part.velocity[1:] + part.velocity[:-1])
             for part in sample_parts(self.pieces)
             if part.velocity is not None
         ]
-        if not both:
+        if not pairs:
             return np.nan
-        way, rate = (np.concatenate(each) for each in zip(*both, strict=True))
+        speed, rate = (np.concatenate(each) for each in zip(*pairs, strict=True))
         strength = 0.5 * np.sum(rate**2, axis=0)
-        seen = self.moving & (strength > 0.0)
-        if not seen.any():
+        usable = self.moving & (strength > 0.0)
+        if not usable.any():
             return np.nan
-        slopes = np.sum(way * rate, axis=0)[seen] / strength[seen]
-        found = float(np.median(slopes))
-        alike = np.mean(np.abs(slopes - found) < _ALIKE * abs(found))
-        is_one = alike > 0.5 and _SHORTEST_PERIOD <= found * self.period < _LONGEST_PERIOD
-        return found if is_one else np.nan
+        slopes = np.sum(speed * rate, axis=0)[usable] / strength[usable]
+        scale = float(np.median(slopes))
+        alike = np.mean(np.abs(slopes - scale) < _ALIKE * abs(scale))
+        is_valid = alike > 0.5 and _SHORTEST_PERIOD <= scale * self.period < _LONGEST_PERIOD
+        return scale if is_valid else np.nan
 
 
 @contextmanager
 def naming_log(log: JointLog) -> Iterator[None]:
-    """Add the log's name to errors as `evidence["log"]`, as others may be used without it."""
+    """Add the log's name to errors as `evidence["log"]`, so that callers can leave it out."""
     try:
         yield
     except LogError as error:
@@ -129,7 +129,7 @@ def naming_log(log: JointLog) -> Iterator[None]:
 def make_uniform(log: JointLog, *, faultless: bool = False) -> UniformLog:
     """Split a log at gaps in its complete rows, and find its period, noise and moving joints.
 
-    What its sensors did wrong is left out, unless it is `faultless` already.
+    Sensor faults are removed first unless it is `faultless` already.
     """
     with naming_log(log):
         return _uniform(log, faultless=faultless)
@@ -145,15 +145,15 @@ def _uniform(log: JointLog, *, faultless: bool) -> UniformLog:
     log = log if faultless else without_faults(log)
     notes = [*log.notes, *step_notes(log)]
     columns = [log.joints.index(joint) for joint in log.measured]
-    own = None if log.acceleration is None or not columns else log.acceleration[:, columns]
-    if log.acceleration is not None and own is None:
+    acceleration = None if log.acceleration is None or not columns else log.acceleration[:, columns]
+    if log.acceleration is not None and acceleration is None:
         notes.append("measured accelerations are not used, but derived from velocities")
     velocity = log.velocity
     if velocity is not None and np.isnan(velocity).mean() > 0.1:
         velocity = None
         notes.append("measured velocities are not used, as too many cells are empty")
     measured = [log.time[:, None], log.position, log.effort]
-    measured += [x for x in (velocity, own) if x is not None]
+    measured += [x for x in (velocity, acceleration) if x is not None]
     complete = np.logical_and.reduce([np.isfinite(values).all(axis=1) for values in measured])
     if np.count_nonzero(complete) < 2:
         raise LogError(
@@ -167,7 +167,7 @@ def _uniform(log: JointLog, *, faultless: bool) -> UniformLog:
     _check_period(log, period)
     notes += [note] if note else []
     whole = Piece(
-        log.time, log.position, velocity, log.effort, period, own, (*columns,), log.ground
+        log.time, log.position, velocity, log.effort, period, acceleration, (*columns,), log.ground
     ).rows(kept)
     pieces = tuple(whole.rows(run) for run in runs if run.stop - run.start >= _LEAST_ROWS)
     noise, moving = _find_moving(log, pieces, period)
@@ -175,21 +175,21 @@ def _uniform(log: JointLog, *, faultless: bool) -> UniformLog:
 
 
 def _never_measured(log: JointLog) -> str:
-    """Return the first column without a single number, in words."""
+    """Return a description of the first column without numbers, or ""."""
     if not np.isfinite(log.time).any():
         return ": none has a time"
     for quantity in ("position", "effort"):
         empty = ~np.isfinite(getattr(log, quantity)).any(axis=0)
         if empty.any():
-            told = quantity == "effort" and log.command is not None
-            or_command = " or command" if told else ""
+            has_command = quantity == "effort" and log.command is not None
+            or_command = " or command" if has_command else ""
             joint = log.joints[int(np.argmax(empty))]
             return f": none has {quantity}{or_command} of {joint}"
     return ""
 
 
 def _check_period(log: JointLog, period: float) -> None:
-    """Raise for time stamps that no log of a robot in seconds has."""
+    """Raise for a sampling period or time stamps that are impossible in seconds."""
     latest = float(np.max(np.abs(log.time), initial=0.0, where=np.isfinite(log.time)))
     is_slow = period >= _LONGEST_PERIOD
     if is_slow or period < _SHORTEST_PERIOD:
@@ -209,7 +209,7 @@ def _check_period(log: JointLog, period: float) -> None:
 
 
 def _runs(time: Array) -> tuple[list[slice], float, str | None]:
-    """Return rows between gaps in complete rows, the period, and a note if they are many."""
+    """Return the rows between gaps, the period, and a note if there are gaps."""
     steps = np.diff(time)
     period = float(np.median(steps))
     longest = longest_step(period)
@@ -219,16 +219,16 @@ def _runs(time: Array) -> tuple[list[slice], float, str | None]:
     runs = [slice(before + 1, end + 1) for before, end in pairwise([-1, *last, len(time) - 1])]
     if not last:
         return runs, period, None
-    at = max(last, key=steps.__getitem__)
+    longest_gap = max(last, key=steps.__getitem__)
     note = (
         f"split into {len(runs)} pieces at gaps and empty cells; the longest gap is "
-        f"{steps[at]:.3g} s at t = {time[at]:.2f} s"
+        f"{steps[longest_gap]:.3g} s at t = {time[longest_gap]:.2f} s"
     )
     return runs, period, note
 
 
 def _in_scraps(steps: Array, gap: float) -> float:
-    """Return the share of the time between gaps that is in pieces too short for a filter."""
+    """Return the share of the time between gaps in pieces too short for a filter."""
     ends = np.flatnonzero(steps > gap)
     pieces = np.split(np.where(steps > gap, 0.0, steps), ends + 1)
     seconds = np.array([piece.sum() for piece in pieces])
@@ -236,7 +236,7 @@ def _in_scraps(steps: Array, gap: float) -> float:
 
 
 def sample_parts(pieces: Sequence[Piece]) -> Iterator[Piece]:
-    """Yield parts of pieces, evenly spread over a long log, by which choices are made."""
+    """Yield a sample of parts of pieces, evenly spread over a long log, for estimates."""
     parts = [
         (piece, part)
         for piece in pieces
@@ -255,7 +255,7 @@ def _edges(length: int, parts: int) -> list[int]:
 def _find_moving(
     log: JointLog, pieces: Sequence[Piece], period: float
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Return noise deviation (n,) of each position, and which joints (n,) move."""
+    """Return the position noise (n,), and whether joints (n,) move."""
     if not pieces:
         raise LogError(
             f"Log {log.name!r} has no {_LEAST_ROWS} successive rows without a gap or an "

@@ -1,4 +1,4 @@
-"""Units other than rad, m, N·m and N that values show: converted where certain, or hinted at."""
+"""Detection of other units than rad, m, N·m and N: conversion if certain, otherwise hints."""
 
 from __future__ import annotations
 
@@ -18,32 +18,32 @@ from geodrake.logs.files.units import Unit, unit_of
 from geodrake.logs.motion import JointLog
 from geodrake.logs.resting import LARGEST
 
-TICKS = 4096  # of a turn, of servos with twelve bits
-ROUNDING = 1e-3  # by which a whole number is off after a unit's factor
-_HELD, _MARGIN = 0.99, 0.05  # share of positions that limits hold, and rad by which they may pass
-_FIRST = 1000  # rows, which mostly show that numbers are not integers
-_FAR, _MOST_FAR = 45.0, 10.0  # rad that one joint goes beyond in degrees, and that most do
-_NORMALIZED = 101.0  # of LeRobot's share of a range
+TICKS = 4096  # per turn, of servos with twelve bits
+ROUNDING = 1e-3  # error of an integer after a unit's factor
+_HELD, _MARGIN = 0.99, 0.05  # least share of positions within limits, and tolerance of these, rad
+_FIRST = 1000  # rows, usually enough to show that numbers are not integers
+_FAR, _MOST_FAR = 45.0, 10.0  # largest position in rad of one joint, and of most joints
+_NORMALIZED = 101.0  # largest position of LeRobot in percent of a range
 _OF_LEROBOT = re.compile(r"\.pos$|^observation\.state")
-_ROWS, _WINDOW = 50_000, 25  # rows that tell a ratio, and over which way and speed are compared
-_SHORTER = 12  # rows over which they are, if a motion repeats after those
-_OFF, _ALIKE = 0.02, 0.99  # by which a ratio may be off, and correlation of what moves together
-_UNLIKE, _MOVES = 0.5, 0.1  # correlation of other signals; way of joints, of the longest of one
-_JUMP = 0.5  # of its range, which an angle that wraps moves between two rows
+_ROWS, _WINDOW = 50_000, 25  # rows examined, and over which positions and velocities are compared
+_SHORTER = 12  # the latter if a motion repeats after those
+_OFF, _ALIKE = 0.02, 0.99  # tolerance of a ratio, and least correlation to determine it
+_UNLIKE, _MOVES = 0.5, 0.1  # correlation of unrelated signals; least motion relative to the largest
+_JUMP = 0.5  # of its range, least step of an angle that wraps
 Bare = Mapping[str, Mapping[tuple[str, str], Meaning]]
-"""Quantity -> its columns, where nobody says their unit."""
+"""Quantity -> its columns without a stated unit."""
 
 _ANGLES = ("deg", "rev", "mrad", "cdeg", "rad")
-_SMALL = ("mrad", "cdeg")  # in which any motion is far in numbers
+_SMALL = ("mrad", "cdeg")  # units in which any motion has large values
 _SPEEDS = ("rad/s", "deg/s", "rev/s", "rpm")
-_OF_SERVOS = (*_SPEEDS, "ticks/s", "0.229 rpm", "0.111 rpm")  # beside ticks, as of Dynamixel
-_AS_OTHERS = (("rev", "rad/s"), ("rev", "rpm"))  # as m and m/min, or gears of 6.3 and 60
-_LARGE = 0.9  # share of moves that are smaller
-_BETWEEN = (np.pi / 180.0) ** 0.5  # deg/s and rad/s, in the middle of their ratio
+_OF_SERVOS = (*_SPEEDS, "ticks/s", "0.229 rpm", "0.111 rpm")  # with ticks, as of Dynamixel
+_AS_OTHERS = (("rev", "rad/s"), ("rev", "rpm"))  # like m and m/min, or gears of 6.3 and 60
+_LARGE = 0.9  # quantile of moves
+_BETWEEN = (np.pi / 180.0) ** 0.5  # geometric mean of deg/s and rad/s
 
 
 def take_units(time: Array, data: dict[str, Array], columns: Columns) -> None:
-    """Turn positions, velocities and commands (N, n) into SI units where values need it."""
+    """Convert positions, velocities and commands (N, n) to SI units if values show others."""
     bare = {quantity: _bare(columns, quantity) for quantity in data}
     if _take_ticks(data, columns, bare):
         _take_angles(time, data, columns, {**bare, "position": {}, "command": {}}, _OF_SERVOS)
@@ -52,11 +52,11 @@ def take_units(time: Array, data: dict[str, Array], columns: Columns) -> None:
 
 
 def _bare(columns: Columns, quantity: str) -> dict[tuple[str, str], Meaning]:
-    """Return the columns of a quantity, or none if one has a unit, as geodrake's own names do."""
+    """Return the columns of a quantity, or none if one has a unit, as by geodrake's own names."""
     places = [(joint, quantity) for joint in columns.joints]
-    own = {p: source for p in places if (source := columns.places.get(p)) is not None}
-    told = (s.unit or s.factor != 1.0 or s.column == ".".join(p) for p, s in own.items())
-    return {} if any(told) else own
+    sources = {p: source for p in places if (source := columns.places.get(p)) is not None}
+    have_units = (s.unit or s.factor != 1.0 or s.column == ".".join(p) for p, s in sources.items())
+    return {} if any(have_units) else sources
 
 
 def _convert(
@@ -75,18 +75,18 @@ def _take_angles(
     bare: Bare,
     speeds: Sequence[str],
 ) -> None:
-    """Turn angles and their speeds into rad and rad/s, where values are certain of other units.
+    """Convert angles and speeds to rad and rad/s if values prove other units.
 
-    The ratio of velocities to changes of positions tells both units, if the model's limits hold
-    positions in that of angles. Small units need large numbers, too, as changes from row to row
-    have such a ratio. Otherwise positions of which most are far beyond the limits in rad, and
-    within them in degrees, are in degrees. Velocities that do not go with positions are left out.
+    The ratio of velocities to changes of positions determines both units, if positions in that
+    unit are within the model's limits. Small units need large values, too, as differences from row
+    to row have such a ratio. Otherwise positions are in degrees if most are far beyond the limits
+    in rad, but within them in degrees. Velocities unrelated to positions are left out.
     """
     turning = [joint for joint in columns.joints if joint not in columns.reading.sliding]
     places = bare.get("position", {})
     if not turning or any(source.role == MOTOR for source in places.values()):
         return
-    bare = {q: {p: own[p] for p in own if p[0] in turning} for q, own in bare.items()}
+    bare = {q: {p: sources[p] for p in sources if p[0] in turning} for q, sources in bare.items()}
     at = np.isin(columns.joints, turning)
     position, velocity = data["position"][:, at], data.get("velocity")
     moves = [] if velocity is None else _moves(time, position, velocity[:, at])
@@ -118,7 +118,7 @@ def _take_angles(
 
 
 def _nearer_speed(moves: Sequence[tuple[Array, Array]]) -> str:
-    """Return the unit of speeds beside degrees, by large moves but for outliers."""
+    """Return the unit of speeds if positions are in degrees, from a high quantile of moves."""
     sizes = [[np.quantile(np.abs(x), _LARGE) for x in each] for each in moves if len(each[0])]
     moved, driven = np.sum(sizes, axis=0) if sizes else (0.0, 0.0)
     return "deg/s" if driven > _BETWEEN * moved else "rad/s"
@@ -128,43 +128,43 @@ def _nearer_speed(moves: Sequence[tuple[Array, Array]]) -> str:
 def _moves(
     time: Array, position: Array, velocity: Array, rows: int = _WINDOW
 ) -> list[tuple[Array, Array]]:
-    """Return how far each joint moves by its positions, and by its velocities, over some rows."""
+    """Return the motion of each joint over some rows, from its positions and its velocities."""
     if len(time) <= rows:
         return []
     position, velocity, time = position[:_ROWS], velocity[:_ROWS], time[:_ROWS]
     steps = 0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time)[:, None]
-    way = np.cumsum(np.vstack([np.zeros(velocity.shape[1]), np.nan_to_num(steps)]), axis=0)
-    found = list[tuple[Array, Array]]()
-    for q, s in zip(position.T, way.T, strict=True):
+    integral = np.cumsum(np.vstack([np.zeros(velocity.shape[1]), np.nan_to_num(steps)]), axis=0)
+    moves = list[tuple[Array, Array]]()
+    for q, s in zip(position.T, integral.T, strict=True):
         moved, driven = (x[rows:] - x[:-rows] for x in (q, s))
         jumps = np.abs(np.diff(q, prepend=q[0])) > _JUMP * (np.fmax.reduce(q) - np.fmin.reduce(q))
         count = np.cumsum(jumps)
-        there = np.isfinite(moved) & np.isfinite(driven) & (count[rows:] == count[:-rows])
-        found.append((moved[there], driven[there]))
-    return found
+        valid = np.isfinite(moved) & np.isfinite(driven) & (count[rows:] == count[:-rows])
+        moves.append((moved[valid], driven[valid]))
+    return moves
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of outliers
 def _by_motion(
     moves: Sequence[tuple[Array, Array]], angles: Sequence[str], speeds: Sequence[str]
 ) -> tuple[str, str, float]:
-    """Return units of angles and speeds by their ratio, and this; SI units where it tells none.
+    """Return the units of angles and speeds with the ratio of moves, and this; SI units if none.
 
-    The ratio is zero if velocities do not go with positions.
+    The ratio is zero if velocities are unrelated to positions.
     """
-    known, found, alike = ("rad", "rad/s", 1.0), list[float](), list[float]()
-    most = max((np.linalg.norm(moved) for moved, _ in moves), default=0.0)
+    si_units, ratios, correlations = ("rad", "rad/s", 1.0), list[float](), list[float]()
+    largest = max((np.linalg.norm(moved) for moved, _ in moves), default=0.0)
     for moved, driven in moves:
         size = np.linalg.norm(moved) * np.linalg.norm(driven)
         if size > 0.0 and moved @ driven > _ALIKE * size:
-            found.append(float(driven @ driven / (moved @ driven)))
-        if np.linalg.norm(moved) > _MOVES * most:
-            alike.append(float(abs(moved @ driven) / max(size, np.finfo(float).tiny)))
-    if alike and max(alike) < _UNLIKE:
+            ratios.append(float(driven @ driven / (moved @ driven)))
+        if np.linalg.norm(moved) > _MOVES * largest:
+            correlations.append(float(abs(moved @ driven) / max(size, np.finfo(float).tiny)))
+    if correlations and max(correlations) < _UNLIKE:
         return "rad", "rad/s", 0.0
-    ratio = float(np.median(found)) if found else 1.0
-    if not found or np.ptp(found) > 2.0 * _OFF * ratio:
-        return known
+    ratio = float(np.median(ratios)) if ratios else 1.0
+    if not ratios or np.ptp(ratios) > 2.0 * _OFF * ratio:
+        return si_units
     for angle, speed in ((a, s) for s in speeds for a in angles):
         expected = unit_of(angle, "position").factor / unit_of(speed, "velocity").factor
         are_bare = len(angles) > 1 and len(speeds) > 1
@@ -172,11 +172,11 @@ def _by_motion(
             continue
         if abs(ratio / expected - 1.0) < _OFF:
             return angle, speed, ratio
-    return known
+    return si_units
 
 
 def _beyond_limits(position: Array, columns: Columns, joints: Sequence[str]) -> str:
-    """Return why positions (N, n) of joints can only be degrees by the model's limits, or ""."""
+    """Return why the model's limits prove that positions (N, n) are in degrees, or ""."""
     position = _some(position)
     peaks = peaks_of(position)
     names = (columns.places[joint, "position"].column for joint in joints)
@@ -194,7 +194,7 @@ def _beyond_limits(position: Array, columns: Columns, joints: Sequence[str]) -> 
 
 
 def _are_far(peaks: Array) -> bool:
-    """Return whether largest positions (n,) of most joints are beyond what these reach in rad."""
+    """Return whether the largest positions (n,) of most joints are impossible in rad."""
     return bool(peaks.max() > _FAR and np.mean(peaks > _MOST_FAR) > 0.5)
 
 
@@ -203,16 +203,16 @@ def _take_ticks(
     columns: Columns,
     bare: Bare,
 ) -> bool:
-    """Turn positions and commands (N, n) into rad where they are ticks of servos.
+    """Convert positions and commands (N, n) of servos from ticks to rad.
 
-    Whole numbers from 0 to less than 4,096, and beyond 1,024, are ticks if nobody says their unit:
-    no joint goes so far in rad, and hardly one in whole degrees. Zero is at 2,048, as in drivers,
-    unless the model's limits hold positions from tick 0 on, and not those.
+    Integers without a unit from 0 to less than 4,096, and beyond 1,024, are ticks: no joint moves
+    so far in rad, and hardly any in whole degrees. Zero is at 2,048, as in drivers, unless only a
+    zero at tick 0 brings positions within the model's limits.
     """
-    told = [n for n in data if n in ("position", "command") and np.isfinite(data[n]).any()]
-    if "position" not in told or not all(bare[quantity] for quantity in told):
+    quantities = [n for n in data if n in ("position", "command") and np.isfinite(data[n]).any()]
+    if "position" not in quantities or not all(bare[quantity] for quantity in quantities):
         return False
-    for quantity in told:
+    for quantity in quantities:
         numbers, least = data[quantity], TICKS / 4 if quantity == "position" else 0.0
         if not are_whole(numbers):
             return False
@@ -222,23 +222,23 @@ def _take_ticks(
     middle, bottom = (unit_of(name, "position") for name in ("ticks@2048", "ticks"))
     some = _some(ticks)
     joints = columns.joints
-    held = {u: _share_within(columns.reading, joints, some, u) for u in (middle, bottom)}
-    unit, other = (bottom, middle) if held[bottom] > _HELD > held[middle] else (middle, bottom)
+    shares = {u: _share_within(columns.reading, joints, some, u) for u in (middle, bottom)}
+    unit, other = (bottom, middle) if shares[bottom] > _HELD > shares[middle] else (middle, bottom)
     zero = "2048, as in drivers" if unit is middle else "0, as the model's limits suggest"
     words = (
         f"positions are integers from {np.nanmin(ticks):.0f} to {np.nanmax(ticks):.0f}: "
         f"taken as servo ticks, {TICKS} a turn, with zero at tick {zero} (--units "
-        f"{','.join(f'{each}={other.name}' for each in told)} for zero at "
+        f"{','.join(f'{each}={other.name}' for each in quantities)} for zero at "
         f"{'0' if unit is middle else '2048'}; other units with --units or a mapping)"
     )
-    for quantity in told:
+    for quantity in quantities:
         _convert(data, columns, bare[quantity], unit)
     columns.notes.append(words)
     return True
 
 
 def _share_within(reading: Reading, joints: Sequence[str], position: Array, unit: Unit) -> float:
-    """Return the share of positions (N, n) of joints in a unit that are within their limits."""
+    """Return the share of positions (N, n) in a unit that are within the joints' limits."""
     limits = np.array([reading.limits.get(j, (-np.inf, np.inf)) for j in joints])
     bounded = np.isfinite(limits).all(axis=1)
     low, high = limits[bounded].T
@@ -248,19 +248,19 @@ def _share_within(reading: Reading, joints: Sequence[str], position: Array, unit
 
 
 def _some(values: Array) -> Array:
-    """Return rows of (N, n) from all over a log, at most as many as are looked at."""
+    """Return at most `_ROWS` rows of (N, n), evenly spread over a log."""
     return values[:: len(values) // _ROWS + 1]
 
 
 def are_whole(numbers: Array) -> bool:
     """Return whether numbers are integers, except for rounding, empty cells and infinity."""
     with np.errstate(invalid="ignore"):
-        parts = (numbers[:_FIRST], numbers)  # the first mostly suffice
+        parts = (numbers[:_FIRST], numbers)  # the first usually suffice
         return not any(np.any(np.abs(part - np.rint(part)) > ROUNDING) for part in parts)
 
 
 def peaks_of(values: Array) -> Array:
-    """Return (n,) largest magnitude of each column, 0 without measurements."""
+    """Return the largest magnitudes (n,) of columns, 0 without measurements."""
     peaks = np.zeros(values.shape[1])
     for first in range(0, len(values), _ROWS):
         part = np.abs(values[first : first + _ROWS])
@@ -268,24 +268,24 @@ def peaks_of(values: Array) -> Array:
     return peaks
 
 
-_NO_NOISE = 0.3  # rad or m: no position's noise reaches so far
-_ENOUGH_ROWS = 30  # that tell an order
-_JUMP = 0.2  # of its range, between two rows: 0.3 in random order, 0.1 in 20 rows a swing
-_LARGEST = 1e100  # of efforts that are compared with limits, and of positions with each other
-_LEAST_LIMIT = 1e-9  # N·m or N: no motor is that weak
-_NEAR_ZERO, _TOUCHES = 0.03, 4  # of the largest effort, and how often one comes down to it
+_NO_NOISE = 0.3  # rad or m, more than the noise of any position
+_ENOUGH_ROWS = 30  # to judge their order, or efforts
+_JUMP = 0.2  # of a range, between two rows: 0.3 in random order, 0.1 at 20 rows per oscillation
+_LARGEST = 1e100  # of compared efforts and positions
+_LEAST_LIMIT = 1e-9  # N·m or N, less than the limit of any motor
+_NEAR_ZERO, _TOUCHES = 0.03, 4  # of the largest effort, and least number of returns to it
 _MOST_AMPERES = 300.0
-_LOOKS = 200  # at a position, between which its noise turns it round
+_LOOKS = 200  # samples of a position, so that noise causes few reversals
 _LEAST_MRAD, _MOST_DEGREES = 400.0, 3600.0  # ten turns
-_LEAST_TICKS = 100.0  # no joint goes there in radians
+_LEAST_TICKS = 100.0  # more than the reach of any joint in rad
 _FEW = 0.01  # share of samples that may be spikes
-_BEYOND = 0.01  # of a range, by which a joint may pass its stops
+_BEYOND = 0.01  # of a range, by which a joint may exceed its limits
 
 
 def effort_unit_hint(log: JointLog, effort_limits: ArrayLike) -> str | None:
     """Return a hint if efforts look like another unit than N·m or N; else None.
 
-    They are compared with the model's (n,) limits; zeros and infinities count as unknown.
+    They are compared with the model's limits (n,); zeros and infinities count as unknown.
     """
     limits = np.broadcast_to(np.asarray(effort_limits, float), (len(log.joints),))
     silent = (*log.passive, *log.unmeasured)
@@ -322,7 +322,7 @@ _UNIT_ADVICE = (
 
 
 def position_unit_hint(log: JointLog) -> str | None:
-    """Return a hint if positions of which nobody said the unit look like degrees or ticks."""
+    """Return a hint if positions without a unit look like degrees or ticks; else None."""
     peaks = peaks_of(log.position)
     if any(map(_CONVERTED.match, log.notes)):
         return None
@@ -356,7 +356,7 @@ def check_ticks(log: JointLog) -> None:
 
 
 def effort_hint(log: JointLog) -> str | None:
-    """Return a hint if efforts look like magnitudes or counts of currents, or None.
+    """Return a hint if efforts look like magnitudes or counts of currents; else None.
 
     Magnitudes return to zero while the joint turns both ways.
     """
@@ -374,7 +374,7 @@ def effort_hint(log: JointLog) -> str | None:
     position, effort = position[rows], effort[rows]
     if len(effort) < _ENOUGH_ROWS:
         return None
-    found = []
+    names = []
     for name, q, tau in zip(log.joints, position.T, effort.T, strict=True):
         largest, kind = float(tau.max()), log.effort_kinds.get(name)
         if kind in ("passive", "ground", "unmeasured") or tau.min() < 0.0 or not largest:
@@ -383,11 +383,11 @@ def effort_hint(log: JointLog) -> str | None:
         turns = np.diff(np.sign(np.diff(q[:: len(q) // _LOOKS + 1])))
         touches = np.count_nonzero(low[1:] & ~low[:-1])
         if touches >= _TOUCHES and np.count_nonzero(turns) > 1:
-            found.append(name)
-    if not found:
+            names.append(name)
+    if not names:
         return None
     return (
-        f"The efforts of {', '.join(found)} are never negative, and often return to zero "
+        f"The efforts of {', '.join(names)} are never negative, and often return to zero "
         "while the joint turns both ways: they seem to be magnitudes. Log them with their "
         "sign; or, if servo commands are logged too, use these: --kind command."
     )
@@ -396,17 +396,17 @@ def effort_hint(log: JointLog) -> str | None:
 def position_limit_hint(log: JointLog, lower: ArrayLike, upper: ArrayLike) -> str | None:
     """Return a hint if positions are beyond a model's limits (n,); else None."""
     ends = np.stack([np.asarray(lower, float), np.asarray(upper, float)])
-    found = []
+    violations = []
     for name, q, (low, high) in zip(log.joints, log.position.T, ends.T, strict=True):
         known = q[np.isfinite(q)]
         share = _share_outside(known, low, high)
         if share > _FEW:
             beyond = max(low - known.min(), known.max() - high)
-            found.append((share, name, beyond, known, low, high))
-    if not found:
+            violations.append((share, name, beyond, known, low, high))
+    if not violations:
         return None
-    share, name, beyond, known, low, high = max(found, key=lambda each: each[0])
-    others = f"; joints beyond: {len(found)}" if len(found) > 1 else ""
+    share, name, beyond, known, low, high = max(violations, key=lambda each: each[0])
+    others = f"; joints beyond: {len(violations)}" if len(violations) > 1 else ""
     doubted = any(note.startswith("position: by their names") for note in log.notes)
     return (
         f"Positions exceed the model's limits: {name} in {100 * share:.0f} % of the samples "
@@ -416,13 +416,13 @@ def position_limit_hint(log: JointLog, lower: ArrayLike, upper: ArrayLike) -> st
 
 
 def _share_outside(q: Array, low: float, high: float) -> float:
-    """Return the share of positions (N,) outside of limits by more than a percent of them."""
+    """Return the share of positions (N,) outside limits by more than 1 % of their range."""
     margin = _BEYOND * min(high - low, 2.0 * np.pi)
     return float(np.mean((q < low - margin) | (q > high + margin))) if len(q) else 0.0
 
 
 def _cause_beyond(q: Array, low: float, high: float) -> str:
-    """Return a hint on what would bring positions (N,) within limits."""
+    """Return a hint on the change that would bring positions (N,) within limits."""
     if _share_outside(-q, low, high) <= _FEW:
         return (
             " With the opposite sign they are within: is the joint's axis, or the column, reversed?"
@@ -444,16 +444,16 @@ def row_order_hint(log: JointLog) -> str | None:
     rows = log.position[np.isfinite(log.position).all(axis=1)][:_ROWS]
     if len(rows) < _ENOUGH_ROWS:
         return None
-    # Quantiles, as spikes of sensors make large steps, too.
+    # Quantiles, as spikes of sensors also make large steps.
     rows = np.clip(rows, -_LARGEST, _LARGEST)
     low, high = np.quantile(rows, [0.05, 0.95], axis=0)
-    reach, steps = high - low, np.abs(np.diff(rows, axis=0))
-    far = reach > _NO_NOISE
-    if not far.any() or (np.median(steps, axis=0) < _JUMP * reach)[far].any():
+    ranges, steps = high - low, np.abs(np.diff(rows, axis=0))
+    large = ranges > _NO_NOISE
+    if not large.any() or (np.median(steps, axis=0) < _JUMP * ranges)[large].any():
         return None
-    most = int(np.argmax(reach))
+    widest = int(np.argmax(ranges))
     return (
-        f"The rows of log {log.name!r} are not sorted by time: {log.joints[most]} jumps by "
-        f"{np.median(steps[:, most]):.3g} rad (m) from row to row, within a range of "
-        f"{reach[most]:.3g}."
+        f"The rows of log {log.name!r} are not sorted by time: {log.joints[widest]} jumps by "
+        f"{np.median(steps[:, widest]):.3g} rad (m) from row to row, within a range of "
+        f"{ranges[widest]:.3g}."
     )
