@@ -1,6 +1,6 @@
-"""One frame for all scripts: options, draws that go on where they broke off, times, tables, charts.
+"""Common parts of all scripts: options, resumable draws, times, tables, and charts.
 
-Scripts are started from the folder above: python -m diagrams.benchmarks.hidden_effects --quick
+Run scripts from the folder above: python -m diagrams.benchmarks.hidden_effects --quick
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from geodrake.report import style
 MODELS = Path(__file__).parents[1] / "models"
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 VERSION = 2
-"""Of what a draw is; one more when kept draws of older versions must not be used."""
+"""Version of cached draws; increase it to invalidate those of older versions."""
 JOBS = min(2, os.cpu_count() or 1)
 
 SHADES = (style.AFTER, style.BEFORE, style.FLOOR, *(f"C{k}" for k in range(3, 10)))
-_BESIDE = 3  # panels
+_BESIDE = 3  # panels in a row
 
 _PEAK = """
 import resource, sys
@@ -55,7 +55,7 @@ print(max(peak, used(resource.RUSAGE_CHILDREN).ru_maxrss) * 1024)
 
 
 def whole_number(text: str, least: int = 0) -> int:
-    """Return a whole number from zero on, of the command line."""
+    """Parse an integer from `least` on for the command line."""
     number = int(text)
     if number < least:
         raise argparse.ArgumentTypeError(f"{number} is below {('zero', 'one')[least]}")
@@ -72,11 +72,11 @@ def script_parser(
     draws: bool = False,
     figures: bool = False,
 ) -> argparse.ArgumentParser:
-    """Return a parser with the options that all scripts have.
+    """Return a parser with the options of all scripts.
 
     Args:
-        draws: Whether there are draws, which processes share and a file keeps.
-        figures: Whether the script draws.
+        draws: Whether the script has draws, run in several processes and cached in a file.
+        figures: Whether the script makes figures.
     """
     parser = argparse.ArgumentParser(description=doc.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help=quick)
@@ -94,7 +94,7 @@ def script_parser(
 def write(
     options: argparse.Namespace, table: Any, **figures: Callable[[], Figure | Mapping[str, Figure]]
 ) -> None:
-    """Write the numbers and the figures, by name, that were asked for."""
+    """Write the requested numbers and figures."""
     if options.json:
         options.json.parent.mkdir(parents=True, exist_ok=True)
         options.json.write_text(json.dumps(plain(table), indent=1) + "\n", encoding="utf-8")
@@ -108,13 +108,13 @@ def write(
 
 
 def tell(options: argparse.Namespace, table: Any) -> None:
-    """Print the numbers, and write them if asked for."""
+    """Print the numbers, and write them if requested."""
     print(json.dumps(plain(table), indent=2))
     write(options, table)
 
 
 def plain(table: Any) -> Any:
-    """Return a table without dataclasses and arrays, as JSON has it."""
+    """Convert dataclasses and arrays in a table to types of JSON."""
     if is_dataclass(table) and not isinstance(table, type):
         return asdict(table)
     if isinstance(table, Mapping):
@@ -125,7 +125,7 @@ def plain(table: Any) -> Any:
 
 
 def show(title: str, lines: Sequence[Mapping[str, Any]], *names: str) -> None:
-    """Print the numbers and words of lines, and of tables in them; or columns of some names."""
+    """Print lines as a table, nested tables included; or the columns of some names."""
     flat = [_flat(line) for line in lines]
     names = names or tuple(dict.fromkeys(name for line in flat for name in line))
     table = Table(*names, title=title, title_justify="left")
@@ -135,20 +135,20 @@ def show(title: str, lines: Sequence[Mapping[str, Any]], *names: str) -> None:
 
 
 def show_values(title: str, values: Mapping[str, Any]) -> None:
-    """Print values, or tables of them, by name."""
+    """Print named values, or named tables of values."""
     lines = ((k, v if isinstance(v, Mapping) else {"value": v}) for k, v in values.items())
     show(title, [{"figure": name, **line} for name, line in lines])
 
 
 def _flat(line: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the numbers and words of a line, and those of tables in it."""
-    found: dict[str, Any] = {}
+    """Return the scalars of a line and of the tables in it."""
+    flat: dict[str, Any] = {}
     for name, value in plain(line).items():
-        inside = value.items() if isinstance(value, dict) else ((None, value),)
-        for key, one in inside:
-            if one is None or isinstance(one, str | int | float):
-                found[name if key is None else f"{name} {key}"] = one
-    return found
+        items = value.items() if isinstance(value, dict) else ((None, value),)
+        for key, scalar in items:
+            if scalar is None or isinstance(scalar, str | int | float):
+                flat[name if key is None else f"{name} {key}"] = scalar
+    return flat
 
 
 def _shown(value: Any) -> str:
@@ -160,14 +160,14 @@ def _shown(value: Any) -> str:
 def first_samples(log: JointLog, count: int) -> JointLog:
     """Return the first samples of a log."""
     names = ("time", "position", "velocity", "effort", "acceleration")
-    given = {name: getattr(log, name) for name in names}
-    return replace(log, **{name: x[:count] for name, x in given.items() if x is not None})
+    signals = {name: getattr(log, name) for name in names}
+    return replace(log, **{name: x[:count] for name, x in signals.items() if x is not None})
 
 
 def sines(
     time: np.ndarray, size: np.ndarray, rate: np.ndarray, phase: np.ndarray | float = 0.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return Σ size sin(rate t + phase) (N, n) of (k, n) sines each, and its two derivatives."""
+    """Return Σ size sin(rate t + phase) (N, n) over k sines (k, n), and its two derivatives."""
     angle = rate * time[:, None, None] + phase
     q, v = (size * np.sin(angle)).sum(1), (size * rate * np.cos(angle)).sum(1)
     return q, v, -(size * rate**2 * np.sin(angle)).sum(1)
@@ -183,36 +183,36 @@ def run_draws(
     draws: Sequence[Any],
     **key: Any,
 ) -> list[Any]:
-    """Return what a task makes of all draws, those of an earlier run from the file that keeps them.
+    """Return the results of a task for all draws, cached ones from the file of an earlier run.
 
     Args:
-        task: A function that can be pickled; its results can be written as JSON.
-        key: What else than the seed tells runs apart.
+        task: A picklable function; its results can be written as JSON.
+        key: Settings other than the seed that distinguish runs.
     """
     cache = options.cache or (options.json and options.json.with_suffix(".draws.jsonl"))
     study = Path(parser.prog).stem.rpartition(".")[2]
-    own = {"version": VERSION, "study": study, "seed": options.seed, **key}
-    own = json.loads(json.dumps(own))
-    done = {name_of(line["draw"]): line["rows"] for line in _kept(cache) if line["key"] == own}
+    run_key = {"version": VERSION, "study": study, "seed": options.seed, **key}
+    run_key = json.loads(json.dumps(run_key))
+    done = {name_of(line["draw"]): line["rows"] for line in _kept(cache) if line["key"] == run_key}
     missing = [draw for draw in draws if name_of(draw) not in done]
-    found = finished(task, missing, options.jobs or (1 if options.quick else JOBS))
+    results = finished(task, missing, options.jobs or (1 if options.quick else JOBS))
     try:
-        for draw, rows in track(found, "draws", len(missing), transient=True):
-            # As it would be read again, so that a resumed run gives the same in every digit.
-            line = json.dumps({"key": own, "draw": plain(draw), "rows": rows})
+        for draw, rows in track(results, "draws", len(missing), transient=True):
+            # Read back from JSON, so that a resumed run gives identical digits.
+            line = json.dumps({"key": run_key, "draw": plain(draw), "rows": rows})
             done[name_of(draw)] = json.loads(line)["rows"]
             if cache is not None:
                 cache.parent.mkdir(parents=True, exist_ok=True)
                 with cache.open("a", encoding="utf-8") as file:
                     file.write(line + "\n")
     except KeyboardInterrupt:
-        where = f"Finished draws are in {cache}; the same command goes on." if cache else ""
+        where = f"Finished draws are in {cache}; run the same command to resume." if cache else ""
         parser.exit(130, f"Interrupted. {where}\n")
     return [done[name_of(draw)] for draw in draws]
 
 
 def _kept(cache: Path | None) -> Iterator[dict[str, Any]]:
-    """Yield the lines of a file, if it is there, but a last one that was cut short."""
+    """Yield the lines of a cache if it exists, without truncated ones."""
     if cache is not None and cache.is_file():
         for line in cache.read_text(encoding="utf-8").splitlines():
             with suppress(json.JSONDecodeError):
@@ -220,18 +220,18 @@ def _kept(cache: Path | None) -> Iterator[dict[str, Any]]:
 
 
 def name_of(draw: Any) -> str:
-    """Return a draw in writing."""
+    """Return a draw as text."""
     return json.dumps(plain(draw), sort_keys=True)
 
 
 def finished(
     task: Callable[[Any], Any], draws: Sequence[Any], workers: int
 ) -> Iterator[tuple[Any, Any]]:
-    """Yield draws as they are done, in processes of their own."""
+    """Yield draws and their results as they finish, computed by several processes."""
     if workers < 2:
         yield from ((draw, task(draw)) for draw in draws)
         return
-    os.environ.update(ONE_THREAD)  # processes that are spawned read it before numpy is there
+    os.environ.update(ONE_THREAD)  # spawned processes read it before importing numpy
     quietly = {"initializer": signal.signal, "initargs": (signal.SIGINT, signal.SIG_DFL)}
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), **quietly) as pool:
         futures = {pool.submit(task, draw): draw for draw in draws}
@@ -246,7 +246,7 @@ def finished(
 
 
 def cpu_clock() -> float:
-    """Return the CPU time of this process and of those that it waited for, s."""
+    """Return the CPU time of this process and its finished children, s."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(usage.ru_utime + usage.ru_stime for usage in used)
 
@@ -259,7 +259,7 @@ def cpu_time(work: Callable[[], object]) -> float:
 
 
 def cpu_times(works: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, list[float]]:
-    """Return CPU times of calls, s, that take turns, after one call each to warm up."""
+    """Return CPU times, s, of alternating calls, after one call each to warm up."""
     for work in works.values():
         work()
     rounds = [{name: cpu_time(work) for name, work in works.items()} for _ in range(repeats)]
@@ -272,16 +272,16 @@ def medians(works: Mapping[str, Callable[[], object]], repeats: int) -> dict[str
 
 
 def peak_memory(code: str, *arguments: object) -> tuple[float, list[str]]:
-    """Return the largest memory, bytes, of a process of some code, and lines that it prints.
+    """Return the peak memory, bytes, of a process that runs some code, and the lines it prints.
 
-    It has Python and all libraries in it, on one thread.
+    The memory includes Python and all libraries, on one thread.
     """
     command = [sys.executable, "-c", code + _PEAK, *map(str, arguments)]
     here = os.pathsep.join([str(MODELS.parent), os.environ.get("PYTHONPATH", "")])
     environment = {**os.environ, **ONE_THREAD, "PYTHONPATH": here}
     run = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
-    *said, peak = run.stdout.splitlines()
-    return float(peak), said
+    *lines, peak = run.stdout.splitlines()
+    return float(peak), lines
 
 
 def chart(
@@ -295,13 +295,13 @@ def chart(
     joined: bool = True,
     note: str = "",
 ) -> Figure:
-    """Draw columns of rows over column x: a panel for each, and each value of column `panel`.
+    """Draw columns of rows over column x, in a panel for each and for each value of `panel`.
 
-    What has the same value of column `by` has one color. Over words there are bars. A list is a
-    line of its own, over the list x or, without one, over its places. `NAME_deviation` is an error.
+    Each value of column `by` has a color. Words in column x give bars. A list is a line of its
+    own, over the list x or, without one, its indices. `NAME_deviation` gives error bars.
 
     Args:
-        levels: Name -> a row whose values are lines across all of a panel.
+        levels: Name -> a row whose values are lines across a panel.
         joined: Whether points are joined.
     """
     names = (ys,) if isinstance(ys, str) else tuple(ys)
@@ -322,10 +322,10 @@ def chart(
         style.polish(ax)
         ax.set_title(style.label(title, 60), loc="left", **style.plain(fontweight="bold"))
         ax.set_xlabel("" if has_words else _word(x), **style.plain(style.SMALL, style.QUIET))
-        own = [row for row in rows if row.get(panel) == part and row.get(name) is not None]
+        panel_rows = [row for row in rows if row.get(panel) == part and row.get(name) is not None]
         for k, kind in enumerate(kinds):
             look = {"color": SHADES[k % len(SHADES)], "label": _word(kind)}
-            drawn = [row for row in own if row.get(by) == kind]
+            drawn = [row for row in panel_rows if row.get(by) == kind]
             if has_words:
                 width = 0.8 / len(kinds)
                 at = [places.index(row[x]) + width * (k + 0.5) - 0.4 for row in drawn]
@@ -340,12 +340,12 @@ def chart(
                 (ax.axvline if has_words else ax.axhline)(row[name], **across)
         _scale(ax, "x" if has_words else "y", [row.get(name) for row in rows], 50.0)
         if not has_words and x != "time":
-            _scale(ax, "x", [row.get(x) for row in own], 20.0)
+            _scale(ax, "x", [row.get(x) for row in panel_rows], 20.0)
     if has_words:
         axes[0].set_yticks(range(len(places)), [_word(place) for place in places])
         axes[0].invert_yaxis()
-    shown = {one.get_label(): one for ax in axes for one in ax.get_legend_handles_labels()[0]}
-    style.legend_above(figure, [one for label, one in shown.items() if label])
+    shown = {line.get_label(): line for ax in axes for line in ax.get_legend_handles_labels()[0]}
+    style.legend_above(figure, [line for label, line in shown.items() if label])
     style.note_below(figure, note)
     return figure
 
@@ -353,7 +353,7 @@ def chart(
 def _draw_lines(
     ax: Axes, rows: Sequence[Mapping[str, Any]], x: str, name: str, *, joined: bool, **look: Any
 ) -> None:
-    """Draw a list as a line, and numbers as points with their errors."""
+    """Draw lists as lines, and numbers as points with error bars."""
     for row in rows:
         if isinstance(row[name], list):
             values = [np.nan if y is None else y for y in row[name]]
@@ -361,9 +361,9 @@ def _draw_lines(
     points = [row for row in rows if not isinstance(row[name], list)]
     if points:
         values = np.array([row[name] for row in points])
-        above = np.array([row.get(f"{name}_deviation", 0.0) for row in points])
-        # Logarithms begin above zero.
-        errors = [np.minimum(above, 0.9 * np.abs(values)), above] if above.any() else None
+        error = np.array([row.get(f"{name}_deviation", 0.0) for row in points])
+        # Logarithmic axes exclude zero.
+        errors = [np.minimum(error, 0.9 * np.abs(values)), error] if error.any() else None
         marks = {"fmt": "o-" if joined else "o", "markersize": 3.5, "capsize": 2}
         ax.errorbar([row[x] for row in points], values, errors, lw=1.2, **marks, **look)
 
@@ -375,7 +375,7 @@ def _word(value: Any) -> str:
 
 
 def _scale(ax: Axes, axis: str, values: Sequence[Any], most: float) -> None:
-    """Make an axis logarithmic if values are positive, and some that many times others."""
+    """Make an axis logarithmic if values are positive, and their ratio exceeds `most`."""
     flat = np.hstack([[], *(np.array(each, float) for each in values if each is not None)])
     flat = flat[np.isfinite(flat)]
     if len(flat) and 0.0 < most * flat.min() < flat.max():

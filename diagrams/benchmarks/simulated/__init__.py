@@ -1,4 +1,4 @@
-"""Simulated robots that hide something: engines, motions, effects, logs, and how to score.
+"""Simulated robots with hidden effects: engines, motions, effects, logs, and scores.
 
-Engines are Pinocchio and MuJoCo, and no formula is geodrake's.
+Engines are Pinocchio and MuJoCo; no formula is taken from geodrake.
 """

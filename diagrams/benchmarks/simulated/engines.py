@@ -1,6 +1,6 @@
-"""Arms: their model files, and inverse dynamics by Pinocchio and by MuJoCo.
+"""Model files of arms, and inverse dynamics by Pinocchio and MuJoCo.
 
-Engines take nothing from geodrake. Bodies are numbered as the joints that move them.
+Engines use nothing of geodrake. Bodies have the numbers of the joints that move them.
 """
 
 from __future__ import annotations
@@ -43,27 +43,27 @@ FURTHER: Mapping[str, str] = {
     "baxter": "baxter_description/urdf/baxter.urdf",
     "tiago": "tiago_description/robots/tiago_no_hand.urdf",
 }
-"""Public arms of some studies alone."""
+"""Public arms that only some studies use."""
 _FINGERS = ("jointGripper",)
 
 
 def number_of(words: str) -> int:
-    """Return a number for words, by which random numbers of a purpose differ from others."""
+    """Return a number for words, to seed the random numbers of a purpose."""
     return crc32(words.encode())
 
 
 @dataclass(frozen=True)
 class RobotFile:
-    """A robot as a model file describes it: a serial arm, without meshes, friction and fingers."""
+    """Model file of a serial arm, without meshes, friction and fingers."""
 
     name: str
     text: str  # the URDF
 
     def changed(self, name: str, **attributes: Mapping[str, str]) -> RobotFile:
-        """Return a file whose joints of some names have another type, or limit of effort.
+        """Return a file with another type or effort limit of some joints.
 
         Args:
-            name: The new file's name.
+            name: Name of the new file.
             attributes: `type` or `effort` -> joint -> its value.
         """
         root = ET.fromstring(self.text)
@@ -75,12 +75,12 @@ class RobotFile:
         return RobotFile(name, ET.tostring(root, encoding="unicode"))
 
     def holding(self, name: str, held: Sequence[str]) -> RobotFile:
-        """Return a file whose joints of some names do not move."""
+        """Return a file with some joints fixed."""
         return self.changed(name, type=dict.fromkeys(held, "fixed"))
 
     @cached_property
     def model(self) -> RobotModel:
-        """What geodrake knows of the robot; simulations read the file again."""
+        """Geodrake's model of the robot; simulations read the file themselves."""
         path = Path(_folder().name) / f"{self.name}.urdf"
         path.write_text(self.text, encoding="utf-8")
         return load_model(path)
@@ -94,12 +94,12 @@ def _folder() -> TemporaryDirectory[str]:
 
 
 def robot_names() -> tuple[str, ...]:
-    """Return the robots that are installed."""
+    """Return the names of the installed robots."""
     return (*OWN, *(name for name, path in PUBLIC.items() if installed_model(path).is_file()))
 
 
 def bare(path: Path) -> ET.Element:
-    """Return the root of a URDF without shapes, and without what it states of friction."""
+    """Return the root of a URDF without shapes and friction."""
     root = ET.parse(path).getroot()
     for link in root.iter("link"):
         for shape in (*link.findall("visual"), *link.findall("collision")):
@@ -114,8 +114,8 @@ def bare(path: Path) -> ET.Element:
 def robot_file(name: str) -> RobotFile:
     """Return the model file of a robot.
 
-    What a file states of damping and friction is taken out, so that all friction is hidden, and
-    fingers are held fixed. Joints that turn without end have limits.
+    Damping and friction of the file are removed, so that all friction is hidden. Fingers are fixed.
+    Continuous joints become revolute.
     """
     public = {**PUBLIC, **FURTHER}
     root = bare(installed_model(public[name]) if name in public else MODELS / f"{name}.urdf")
@@ -130,7 +130,7 @@ def robot_file(name: str) -> RobotFile:
 
 
 def robot_model(name: str) -> RobotModel:
-    """Return what geodrake knows of a robot: its model file."""
+    """Return geodrake's model of a robot."""
     return robot_file(name).model
 
 
@@ -140,7 +140,7 @@ Body = tuple[float, Array, Array]
 
 
 class Engine(ABC):
-    """A robot whose bodies and gravity can be changed."""
+    """A robot with variable bodies and gravity."""
 
     joints: tuple[str, ...]  # names of the joints
     # low, high: (n,) limits of the positions, rad.
@@ -149,11 +149,11 @@ class Engine(ABC):
     fastest: Array  # (n,) limits of the speeds, rad/s
 
     def bodies(self) -> Array:
-        """Return (n, 4, 4) pseudo-inertias ∫ [x;1][x;1]ᵀ dm in the links' frames."""
+        """Return the pseudo-inertias (n, 4, 4) ∫ [x;1][x;1]ᵀ dm in the links' frames."""
         return np.array([pseudo(*body) for body in self._bodies()])
 
     def set_bodies(self, pseudo: Array) -> None:
-        """Replace all bodies by those of (n, 4, 4) pseudo-inertias."""
+        """Replace all bodies by those of pseudo-inertias (n, 4, 4)."""
         self._set_bodies([mass_com_inertia(P) for P in pseudo])
 
     @abstractmethod
@@ -161,15 +161,13 @@ class Engine(ABC):
         """Set gravity (3,), m/s²."""
 
     def efforts(self, q: Array, v: Array, a: Array) -> Array:
-        """Return (N, n) efforts that a motion, (N, n) each, needs."""
+        """Return the efforts (N, n) of a motion, (N, n) each."""
         return np.array([self._effort(*sample) for sample in zip(q, v, a, strict=True)])
 
     def frames(self, body: int, point: Array, q: Array) -> tuple[Array, Array]:
-        """Return what a body does in the world at positions (N, n).
+        """Return Jacobians (N, 6, n) and orientations (N, 3, 3) of a body at positions (N, n).
 
-        Returns:
-            (N, 6, n) Jacobians of a point's velocity and of the rotation, and (N, 3, 3)
-            orientations.
+        Jacobians are of the velocity of a point and of the angular velocity, in the world frame.
         """
         jacobians, rotations = zip(*(self._frame(body, at) for at in q), strict=True)
         J, R = np.array(jacobians), np.array(rotations)
@@ -191,7 +189,7 @@ class Engine(ABC):
 
 
 class PinocchioEngine(Engine):
-    """By Pinocchio."""
+    """Inverse dynamics by Pinocchio."""
 
     def __init__(self, file: RobotFile) -> None:
         self._model = pin.buildModelFromXML(file.text)
@@ -221,7 +219,7 @@ class PinocchioEngine(Engine):
 
 
 class MuJoCoEngine(Engine):
-    """By MuJoCo."""
+    """Inverse dynamics by MuJoCo."""
 
     def __init__(self, file: RobotFile) -> None:
         self._model = mujoco.MjModel.from_xml_string(file.text)
@@ -237,14 +235,14 @@ class MuJoCoEngine(Engine):
         self._model.opt.gravity[:] = gravity
 
     def _bodies(self) -> list[Body]:
-        m, found = self._model, []
+        m, bodies = self._model, []
         for i in m.jnt_bodyid:
             R = np.empty(9)
             mujoco.mju_quat2Mat(R, m.body_iquat[i])
             R = R.reshape(3, 3)
             inertia = R @ np.diag(m.body_inertia[i]) @ R.T
-            found.append((m.body_mass[i], m.body_ipos[i], inertia))
-        return found
+            bodies.append((m.body_mass[i], m.body_ipos[i], inertia))
+        return bodies
 
     def _set_bodies(self, bodies: Sequence[Body]) -> None:
         for i, (mass, com, inertia) in zip(self._model.jnt_bodyid, bodies, strict=True):
@@ -253,7 +251,7 @@ class MuJoCoEngine(Engine):
             self._model.body_mass[i], self._model.body_ipos[i] = mass, com
             self._model.body_inertia[i] = moments
             mujoco.mju_mat2Quat(self._model.body_iquat[i], axes.ravel())
-        # A body frame may have been taken for its principal frame, which it no longer is.
+        # MuJoCo may have identified body frames with principal frames.
         self._model.body_sameframe[:] = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
         self._model.body_simple[:] = 0
 
@@ -281,7 +279,7 @@ def make_engine(kind: str, file: RobotFile) -> Engine:
 
 
 def pseudo(mass: float, com: Array, inertia: Array) -> Array:
-    """Return (4, 4) pseudo-inertia of a mass, its centre, and inertia about the centre."""
+    """Return the pseudo-inertia (4, 4) of a mass, its centre, and inertia about the centre."""
     second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
     h = mass * np.asarray(com)
     return np.block([[second + np.outer(com, h), h[:, None]], [h[None], np.array([[mass]])]])
@@ -295,16 +293,16 @@ def mass_com_inertia(P: Array) -> Body:
 
 
 def congruent(P: Array, distance: float, rng: Generator) -> Array:
-    """Return bodies near (n, 4, 4) ones: L exp(S) Lᵀ with P = L Lᵀ and random symmetric S.
+    """Perturb pseudo-inertias (n, 4, 4): L exp(S) Lᵀ with P = L Lᵀ and random symmetric S.
 
-    S is isotropic in the affine-invariant metric tr(P⁻¹ dP P⁻¹ dP): a mass changes by a share of
-    about `distance`, and so does every second moment.
+    S is isotropic in the affine-invariant metric tr(P⁻¹ dP P⁻¹ dP). Masses and second moments
+    change by a relative amount of about `distance`.
     """
     S = rng.normal(size=P.shape)
     S = distance * (S + S.transpose(0, 2, 1)) / 2.0
     values, axes = np.linalg.eigh(S)
     change = (axes * np.exp(values)[:, None, :]) @ axes.transpose(0, 2, 1)
-    # Thin plates and rods of model files are given a thickness of a thousandth first.
+    # Thin plates and rods of model files first get a thickness of a thousandth.
     tiny = 1e-9 * np.trace(P, axis1=1, axis2=2)[:, None, None] * np.eye(4)
     L = np.linalg.cholesky(P + tiny)
     return L @ change @ L.transpose(0, 2, 1)

@@ -1,4 +1,4 @@
-"""Faults of recording: what drivers, buses and files do to the logs of a robot."""
+"""Faults of recording, caused by drivers, buses and files."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from geodrake.logs import JointLog
 
 @dataclass
 class Columns:
-    """A log of n joints that is spoiled, and what it is drawn by."""
+    """Columns of a log of n joints that faults modify, and a random generator."""
 
     time: Array  # (N,) s
     q: Array  # (N, n)
     v: Array | None
     effort: Array  # (N, n)
-    kept: Array  # (N,) rows that are written
+    kept: Array  # (N,) whether rows are written
     limits: Array  # (n,) of efforts
     rng: Generator
 
@@ -31,7 +31,7 @@ class Columns:
 
 
 def _lagging(values: Array, seconds: float, period: float) -> Array:
-    """Return values (N, n) behind a filter of first order."""
+    """Return values (N, n) after a first-order low-pass filter."""
     share = period / (seconds + period)
     return np.asarray(lfilter([share], [1.0, share - 1.0], values - values[0], axis=0) + values[0])
 
@@ -92,9 +92,9 @@ def _coarse_efforts(log: Columns) -> None:
 
 
 def _clipped_efforts(log: Columns) -> None:
-    at = int(log.rng.integers(log.effort.shape[1]))
-    most = float(np.quantile(np.abs(log.effort[:, at]), 0.97))
-    log.effort[:, at] = np.clip(log.effort[:, at], -most, most)
+    joint = int(log.rng.integers(log.effort.shape[1]))
+    most = float(np.quantile(np.abs(log.effort[:, joint]), 0.97))
+    log.effort[:, joint] = np.clip(log.effort[:, joint], -most, most)
 
 
 def _spikes(log: Columns) -> None:
@@ -104,8 +104,8 @@ def _spikes(log: Columns) -> None:
 
 
 def _noisy_joint(log: Columns) -> None:
-    own = log.effort[:, int(log.rng.integers(log.effort.shape[1]))]
-    own += log.rng.normal(0.0, 0.2 * own.std(), len(own))
+    effort = log.effort[:, int(log.rng.integers(log.effort.shape[1]))]
+    effort += log.rng.normal(0.0, 0.2 * effort.std(), len(effort))
 
 
 def _few_digits(log: Columns) -> None:
@@ -133,11 +133,11 @@ FAULTS: Mapping[str, Callable[[Columns], None]] = {
 }
 
 LATE_BY = frozenset({"jittered stamps", "lagging positions", "filtered efforts", "held efforts"})
-"""Those that make efforts early or late beside the motion."""
+"""Faults that shift efforts in time relative to the motion."""
 
 
 def spoiled(log: JointLog, faults: tuple[str, ...], limits: Array, rng: Generator) -> JointLog:
-    """Return a log with some faults, in the order of `FAULTS`; efforts have limits (n,)."""
+    """Return a log with faults, applied in the order of `FAULTS`; efforts have limits (n,)."""
     kept = np.ones(len(log.time), bool)
     columns = Columns(log.time, log.position, log.velocity, log.effort.copy(), kept, limits, rng)
     for name, spoil in FAULTS.items():

@@ -1,4 +1,4 @@
-"""Logs of a robot on its feet in MuJoCo: what it hides, how it moves, and what sensors say."""
+"""Logs of legged robots simulated by MuJoCo: hidden effects, motions, and sensors."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ FLAGS, WRONG_FLAGS, NO_FLAGS = "logged", "a tenth wrong", "not logged"
 
 @dataclass(frozen=True)
 class Draw:
-    """A robot, its secret, and its two logs."""
+    """A robot, its hidden effect, and the settings of its logs."""
 
     robot: str
     hidden: str = QUIET
@@ -41,19 +41,19 @@ class Draw:
     contacts: str = FLAGS
     wrenches: bool = False
     efforts: bool = True
-    noise: float = 1.0  # noise of all sensors, relative to the usual; 0 for exact logs
+    noise: float = 1.0  # scale of the noise of all sensors; 0 for exact logs
     rate: float = 200.0
     duration: float = 40.0
     number: int = 0
     seed: int = 0
 
     def rng(self, purpose: str) -> Generator:
-        """Return a generator of random numbers for a purpose of this draw."""
+        """Return a random generator for a purpose of this draw."""
         words = f"{self.robot} {self.hidden} {purpose}"
         return np.random.default_rng([self.seed, self.number, number_of(words)])
 
 
-_HIDDEN = (  # robot, secret, contacts, whether wrenches and efforts are logged
+_HIDDEN = (  # robot, hidden effect, contacts, whether wrenches and efforts are logged
     ("a1", PAYLOAD, FLAGS, True, True),
     ("anymal", DRIVES, FLAGS, False, True),
     ("talos", PAYLOAD, FLAGS, False, True),
@@ -85,7 +85,7 @@ _ALWAYS_STANDS = ("talos",)
 
 
 def all_draws(seed: int, **fixed: object) -> list[Draw]:
-    """Return twenty draws that hide something, with four between them that hide nothing."""
+    """Return twenty draws with hidden effects, and four without between them."""
     rows = [*_HIDDEN]
     for k, quiet in enumerate(_PLAIN):
         rows.insert(6 * k + 5, quiet)
@@ -107,7 +107,7 @@ def all_draws(seed: int, **fixed: object) -> list[Draw]:
 
 
 _NEGLIGIBLE = 1e-5  # kg
-_POINT_INERTIA = 1e-5  # kg·m², of masses that a file calls points
+_POINT_INERTIA = 1e-5  # kg·m², of point masses in a file
 
 
 @dataclass(frozen=True)
@@ -116,28 +116,28 @@ class Robot:
 
     path: str
     trunk: str  # the link that carries a payload
-    limbs: tuple[str, ...]  # links that may be heavier than the file says
+    limbs: tuple[str, ...]  # links that may be heavier than in the file
     # Frame of each foot, with the joints of its leg from the trunk on.
     feet: Mapping[str, tuple[str, ...]]
-    posture: Mapping[str, float]  # positions of joints where it stands, rad; 0 for others
+    posture: Mapping[str, float]  # joint positions of the standing robot, rad; 0 for others
     # stiffness, damping: Gains of joints by a pattern of their names, N·m/rad and N·m·s/rad.
     stiffness: Mapping[str, float]
     damping: Mapping[str, float]
     sway: tuple[float, ...]  # half range of the trunk along x, y, z, m, and about them, rad
-    # Dry and viscous friction of a joint, N·m and N·m·s/rad, over its stiffness.
+    # Dry and viscous friction of a joint, N·m and N·m·s/rad, relative to its stiffness.
     friction: tuple[float, float]
     rotor: Mapping[str, float]  # reflected inertia of joints by a pattern of their names, kg·m²
     # Half length and half width of a sole, m; zeros for a foot that is a point.
     sole: tuple[float, float] = (0.0, 0.0)
     swing: float = 0.0  # half range of joints outside the legs, rad
-    pace: float = 1.0  # speed of sways over that of a quadruped
-    period: float | None = None  # of a trot, s; None where the robot only stands
+    pace: float = 1.0  # speed of sways relative to that of a quadruped
+    period: float | None = None  # of a trot, s; None if the robot only stands
     lift: float = 0.0  # height of a swinging foot, m
-    fixed: tuple[str, ...] = ()  # how names of joints begin that are held fixed
-    # Least and largest mass of a payload, as shares of the robot's.
+    fixed: tuple[str, ...] = ()  # prefixes of the names of joints that are fixed
+    # Least and largest mass of a payload relative to the robot's.
     payload: tuple[float, float] = (0.05, 0.2)
-    reach: float = 0.1  # how far it is from the trunk's origin along each axis at most, m
-    # Axis along which a joint holds the centre of mass above the feet, and its sign.
+    reach: float = 0.1  # largest distance of it from the trunk's origin along each axis, m
+    # Joint -> axis along which it balances the centre of mass above the feet, and sign.
     balance: Mapping[str, tuple[int, float]] = field(default_factory=dict)
 
 
@@ -257,9 +257,9 @@ ROBOTS: Mapping[str, Robot] = {
 
 @cache
 def robot_text(name: str) -> str:
-    """Return the URDF of a robot without meshes, friction and fingers, as far as MuJoCo reads it.
+    """Return the URDF of a robot without meshes, friction and fingers, valid for MuJoCo.
 
-    Links of no mass lose their inertia, and masses that are points get a little.
+    Massless links lose their inertia, and point masses get a small one.
     """
     robot = ROBOTS[name]
     root = bare(installed_model(robot.path))
@@ -282,7 +282,7 @@ def _mend(link: ET.Element, inertial: ET.Element) -> None:
 
 
 def by_names(values: Mapping[str, float], joints: tuple[str, ...]) -> Array:
-    """Return the value (n,) of the first pattern that each joint's name has."""
+    """Return the values (n,) of the first patterns that match the joints' names."""
     return np.array(
         [
             next(x for pattern, x in values.items() if fnmatchcase(joint, pattern))
@@ -292,39 +292,39 @@ def by_names(values: Mapping[str, float], joints: tuple[str, ...]) -> Array:
 
 
 STEP = 5e-4  # s
-BALL = 2e-3  # m, radius of what touches the ground
+BALL = 2e-3  # m, radius of the balls that touch the ground
 _SOFTNESS = (0.01, 1.0)  # time constant, s, and damping ratio of a contact
-_TOLERANCE = 1e-15  # of MuJoCo's solver of contacts
-# Time constant and impedance of dry friction: MuJoCo's own let it grow with the speed up to some
-# tenths of a radian per second.
+_TOLERANCE = 1e-15  # of MuJoCo's contact solver
+# Time constant and impedance of dry friction: with MuJoCo's defaults it increases with the speed up
+# to some tenths of a radian per second.
 _DRY = (2.0 * STEP, 1.0), (0.9999, 0.9999, 0.001, 0.5, 2.0)
 _GROUND = "ground"
 
 
 @dataclass(frozen=True)
 class Secret:
-    """What the simulated robot has and its file has not."""
+    """Differences between the simulated robot and its file."""
 
-    # mass, place, inertia: Of the payload: kg, m in the trunk's axes, kg·m² of its cube.
+    # mass, place, inertia: Cubic payload: kg, m in the trunk's axes, kg·m².
     mass: float = 0.0
     place: tuple[float, ...] = (0.0, 0.0, 0.0)
     inertia: float = 0.0
-    limb: str = ""  # the heavier link; "" for none
-    # scale, shift: Its mass and inertia over those of the file, and its centre's way, m.
+    limb: str = ""  # heavier link; "" for none
+    # scale, shift: Its mass and inertia relative to the file, and the shift of its centre, m.
     scale: float = 1.0
     shift: tuple[float, ...] = (0.0, 0.0, 0.0)
-    # friction, damping, rotor: Of each joint: N·m, N·m·s/rad, kg·m².
+    # friction, damping, rotor: By joint: N·m, N·m·s/rad, kg·m².
     friction: tuple[float, ...] = ()
     damping: tuple[float, ...] = ()
     rotor: tuple[float, ...] = ()
-    # Joint whose effort is logged too large or small, and the factor; None for none.
+    # Joint with a wrong effort gain, and the factor; None for none.
     gain: tuple[str, float] | None = None
-    # Foot whose sensor is off, and by which wrench; None for none.
+    # Foot with a sensor offset, and the wrench; None for none.
     offset: tuple[str, tuple[float, ...]] | None = None
 
 
 def secret_of(draw: Draw) -> Secret:
-    """Return what a draw hides."""
+    """Return the hidden effect of a draw."""
     robot, rng = ROBOTS[draw.robot], draw.rng("secret")
     plain = compiled(draw.robot, Secret())
     weight, joints = float(plain.body_mass.sum()), joint_names(plain)
@@ -353,7 +353,7 @@ def secret_of(draw: Draw) -> Secret:
 
 
 def compiled(name: str, secret: Secret) -> mujoco.MjModel:
-    """Return the robot on the ground with what it hides of its mechanics."""
+    """Compile the model of a robot on the ground with its hidden mechanical effects."""
     robot = ROBOTS[name]
     spec = mujoco.MjSpec.from_string(robot_text(name))
     spec.compiler.fusestatic = False
@@ -398,7 +398,7 @@ def compiled(name: str, secret: Secret) -> mujoco.MjModel:
 
 
 def sole_points(robot: Robot) -> list[tuple[float, float, float]]:
-    """Return centres of the balls that touch the ground, in a foot's frame."""
+    """Return the centres of the balls that touch the ground, in the frame of a foot."""
     if not any(robot.sole):
         return [(0.0, 0.0, 0.0)]
     length, width = robot.sole
@@ -406,51 +406,50 @@ def sole_points(robot: Robot) -> list[tuple[float, float, float]]:
 
 
 def joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Return all joints but the free one."""
+    """Return the names of all joints except the free one."""
     return tuple(model.joint(k).name for k in range(1, model.njnt))
 
 
 def foot_wrench(
     model: mujoco.MjModel, data: mujoco.MjData, feet: tuple[str, ...]
 ) -> tuple[Array, Array]:
-    """Return which feet touch the ground, and its wrenches on them about and in their frames.
+    """Return whether feet (F,) touch the ground, and its wrenches on them (F, 6).
 
-    Returns:
-        (F,) bool, and (F, 6) force and torque.
+    Wrenches are forces and torques about the feet's origins, in their frames.
     """
     bodies = [model.body(foot).id for foot in feet]
     touching, wrenches = np.zeros(len(feet), bool), np.zeros((len(feet), 6))
-    found = np.zeros(6)
+    contact_wrench = np.zeros(6)
     for k in range(data.ncon):
         contact: Any = data.contact[k]
         ground, foot = contact.geom1, contact.geom2
         sign = 1.0
         if model.geom(foot).name == _GROUND:
             ground, foot, sign = foot, ground, -1.0
-        at = bodies.index(int(model.geom_bodyid[foot]))
-        mujoco.mj_contactForce(model, data, k, found)
+        index = bodies.index(int(model.geom_bodyid[foot]))
+        mujoco.mj_contactForce(model, data, k, contact_wrench)
         axes = contact.frame.reshape(3, 3).T
-        force, torque = sign * axes @ found[:3], sign * axes @ found[3:]
-        turn = data.xmat[bodies[at]].reshape(3, 3)
-        arm = contact.pos - data.xpos[bodies[at]]
-        wrenches[at, :3] += turn.T @ force
-        wrenches[at, 3:] += turn.T @ (torque + np.cross(arm, force))
-        touching[at] |= found[0] > 0.0
+        force, torque = sign * axes @ contact_wrench[:3], sign * axes @ contact_wrench[3:]
+        turn = data.xmat[bodies[index]].reshape(3, 3)
+        arm = contact.pos - data.xpos[bodies[index]]
+        wrenches[index, :3] += turn.T @ force
+        wrenches[index, 3:] += turn.T @ (torque + np.cross(arm, force))
+        touching[index] |= contact_wrench[0] > 0.0
     return touching, wrenches
 
 
 _RATE = 100.0  # Hz, of targets
-_RAMP = 2.0  # s, until a motion is whole
+_RAMP = 2.0  # s, to blend in a motion
 _WAVES = ((0.15, 0.4), (0.4, 0.9), (0.9, 1.8))  # Hz
 _SHARES = (0.5, 0.35, 0.15)
-_STANCE = 0.6  # share of a trot's period in which a foot stands
+_STANCE = 0.6  # stance share of a trot's period
 _ITERATIONS = 4
 _DAMPING = 1e-8
-_ROOM = 0.8  # of the way to the nearer limit of a joint, which a swing takes
+_ROOM = 0.8  # largest swing relative to the distance to the nearer joint limit
 
 
 def standing(model: mujoco.MjModel, robot: Robot) -> Array:
-    """Return positions of the root and the joints where the feet stand on the ground."""
+    """Return the positions of root and joints of the standing robot."""
     data = mujoco.MjData(model)
     names = joint_names(model)
     data.qpos[:7] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
@@ -464,7 +463,7 @@ def standing(model: mujoco.MjModel, robot: Robot) -> Array:
 def joint_targets(
     name: str, motion: str, duration: float, rng: Generator
 ) -> tuple[Array, Callable[[Array], Array], Callable[[Array], Array]]:
-    """Return where a robot starts, and targets of its joints and their rates by time."""
+    """Return the start of a robot, and its joints' targets and rates as functions of time."""
     robot, model = ROBOTS[name], compiled(name, Secret())
     start = standing(model, robot)
     time = np.arange(0.0, duration + 2.0 / _RATE, 1.0 / _RATE)
@@ -481,18 +480,18 @@ def joint_targets(
     for k in sorted({*range(6, model.nv)} - {k for leg in legs.columns for k in leg}):
         room = _ROOM * np.abs(model.jnt_range[k - 5] - start[k + 1]).min()
         swing[:, k] = min(robot.swing, room) * ramp * _waves(robot.pace * time, rng)
-    wanted = np.array(
+    targets = np.array(
         [
             legs.reach(place, other, lift)
             for place, other, lift in zip(sway, swing[:, 6:], lifts, strict=True)
         ]
     )
-    spline = CubicSpline(time, wanted)
+    spline = CubicSpline(time, targets)
     return start, spline, spline.derivative()
 
 
 class _Legs:
-    """Joints of legs for places of the trunk and the feet, each from those before."""
+    """Inverse kinematics of legs, started at the previous solution."""
 
     def __init__(self, model: mujoco.MjModel, robot: Robot, start: Array) -> None:
         self._model, self._data, self._start = model, mujoco.MjData(model), start
@@ -510,8 +509,8 @@ class _Legs:
         """Return positions of all joints.
 
         Args:
-            sway: (6,) way of the trunk from where it stands, and its angles.
-            other: Ways of all joints; those of legs do not count.
+            sway: (6,) displacement of the trunk and its angles.
+            other: Displacements of all joints; those of legs are ignored.
             lift: Height of each foot.
         """
         data, start = self._data, self._start
@@ -526,98 +525,98 @@ class _Legs:
         return np.asarray(data.qpos[7:].copy())
 
     def _step(self, lift: Array) -> None:
-        """Bring each foot nearer to its place."""
+        """Do one iteration for each foot."""
         model, data = self._model, self._data
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
-        along, about = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+        translation, rotation = np.zeros((3, model.nv)), np.zeros((3, model.nv))
         for k, (foot, leg) in enumerate(zip(self._feet, self.columns, strict=True)):
-            mujoco.mj_jacBody(model, data, along, about, foot)
-            away = self._places[k] + [0.0, 0.0, lift[k]] - data.xpos[foot]
-            jacobian = along[:, leg]
+            mujoco.mj_jacBody(model, data, translation, rotation, foot)
+            error = self._places[k] + [0.0, 0.0, lift[k]] - data.xpos[foot]
+            jacobian = translation[:, leg]
             if self._has_soles:
                 quaternion, angle = np.zeros(4), np.zeros(3)
                 turn = self._turns[k] @ data.xmat[foot].reshape(3, 3).T
                 mujoco.mju_mat2Quat(quaternion, turn.ravel())
                 mujoco.mju_quat2Vel(angle, quaternion, 1.0)
-                away = np.concatenate([away, angle])
-                jacobian = np.vstack([jacobian, about[:, leg]])
+                error = np.concatenate([error, angle])
+                jacobian = np.vstack([jacobian, rotation[:, leg]])
             damped = jacobian.T @ jacobian + _DAMPING * np.eye(len(leg))
-            data.qpos[np.add(leg, 1)] += np.linalg.solve(damped, jacobian.T @ away)
+            data.qpos[np.add(leg, 1)] += np.linalg.solve(damped, jacobian.T @ error)
 
 
 def _waves(time: Array, rng: Generator) -> Array:
-    """Return a sum of waves between −1 and 1, of random frequencies and phases, 0 at first."""
-    found = np.zeros_like(time)
+    """Return a sum of waves between −1 and 1, with random frequencies and phases."""
+    total = np.zeros_like(time)
     for (low, high), share in zip(_WAVES, _SHARES, strict=True):
         frequency, phase = rng.uniform(low, high), rng.uniform(0.0, 2.0 * np.pi)
-        found += share * np.sin(2.0 * np.pi * frequency * time + phase)
-    return found
+        total += share * np.sin(2.0 * np.pi * frequency * time + phase)
+    return total
 
 
 def _lifts(robot: Robot, time: Array, rng: Generator) -> Array:
-    """Return the height of each foot in a trot, whose diagonal feet swing together."""
+    """Return the heights of feet in a trot, in which diagonal feet swing together."""
     period = (robot.period or 1.0) * rng.uniform(0.9, 1.1)
-    found = np.zeros((len(time), len(robot.feet)))
+    lifts = np.zeros((len(time), len(robot.feet)))
     for k in range(len(robot.feet)):
         phase = time / period + (0.5 if k in (1, 2) else 0.0)
         swing = (phase % 1.0 - _STANCE) / (1.0 - _STANCE)
-        found[:, k] = robot.lift * np.where(swing > 0.0, np.sin(np.pi * swing.clip(0.0)) ** 2, 0.0)
-    return found
+        lifts[:, k] = robot.lift * np.where(swing > 0.0, np.sin(np.pi * swing.clip(0.0)) ** 2, 0.0)
+    return lifts
 
 
 _SETTLING = 1.0  # s, simulated before a log begins
 _ENCODER, _TACHO = 2e-4, 5e-3  # rad, rad/s
 _GYRO, _FORCE = 5e-3, 0.05  # rad/s, m/s²
-_PLACE, _TURN = 1.5e-3, np.deg2rad(0.15)  # m, rad, of the slow error of the base
-_WHITE = 0.1  # of it, white
-_SLOWNESS = 5.0  # s
+_PLACE, _TURN = 1.5e-3, np.deg2rad(0.15)  # m, rad, drift of the base
+_WHITE = 0.1  # white noise relative to the drift
+_SLOWNESS = 5.0  # s, time constant of the drift
 _VELOCITY = 0.01  # m/s, of the base
-_EFFORT, _WRENCH = 0.01, 0.005  # of the range of a joint, of the weight
+_EFFORT, _WRENCH = 0.01, 0.005  # of the range of a joint's effort, and of the weight
 _ARM = 0.05  # m, of a foot sensor
 _WRONG = 0.1
-_EVERY = 17  # samples, of which one is checked
+_EVERY = 17  # samples between those checked
 _UPRIGHT = 0.7
-_HOLD, _BRAKE = 1000.0, 300.0  # N·m/m and N·m·s/m of the centre of mass, of an ankle
+_HOLD, _BRAKE = 1000.0, 300.0  # N·m/m and N·m·s/m, ankle gains for the centre of mass
 _XYZ = "xyz"
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What happened, exactly."""
+    """A simulated motion without noise."""
 
     model: mujoco.MjModel
     # joints, feet: Their names.
     joints: tuple[str, ...]
     feet: tuple[str, ...]
     time: Array  # (N,) s
-    # q, v, a: Positions, rates and accelerations of MuJoCo.
+    # q, v, a: MuJoCo's positions, velocities and accelerations.
     q: Array
     v: Array
     a: Array
     effort: Array  # (N, n) efforts of the motors
-    touching: Array  # (N, F) whether a foot touches the ground
-    wrench: Array  # (N, F, 6) of the ground on it
+    touching: Array  # (N, F) whether feet touch the ground
+    wrench: Array  # (N, F, 6) of the ground on feet
 
     @property
     def rate(self) -> Array:
-        """Rates of the positions: MuJoCo's own are those of half a step before."""
+        """Velocities at the sample: MuJoCo's are those of half a step before."""
         return self.v + 0.5 * STEP * self.a
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Files of a draw, and what is true of them."""
+    """Files of a draw, and the truth about them."""
 
     # model, logs: Paths of the URDF and of the tables.
     model: Path
     logs: tuple[Path, ...]
-    secret: Secret  # what the file has not
-    # Deviation of each joint's logged effort in all logs, N·m; empty without.
+    secret: Secret  # differences from the file
+    # Joint -> deviation of its effort in all logs, N·m; empty without efforts.
     deviations: Mapping[str, float]
-    same: tuple[str, ...]  # links that are welded to the trunk
-    # How far MuJoCo's inverse dynamics are from the logged efforts before noise, with the feet's
-    # wrenches, as a share of the largest effort.
+    same: tuple[str, ...]  # links welded to the trunk
+    # Largest error of MuJoCo's inverse dynamics with the feet's wrenches, before noise, relative to
+    # the largest effort.
     inverse_error: float
 
 
@@ -640,32 +639,32 @@ def simulate(draw: Draw, folder: Path) -> Recording:
 
 
 def inverse_error(name: str, secret: Secret, motion: Motion) -> float:
-    """Return how far inverse dynamics with measured wrenches are from efforts, at some samples.
+    """Return the relative error of inverse dynamics with measured wrenches, at some samples.
 
-    Contacts are off: what they do comes from the wrenches and MuJoCo's Jacobians alone.
+    Contacts are disabled; wrenches and MuJoCo's Jacobians replace them.
     """
     model = compiled(name, secret)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     data, worst = mujoco.MjData(model), 0.0
-    along, about = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+    translation, rotation = np.zeros((3, model.nv)), np.zeros((3, model.nv))
     for k in range(0, len(motion.time), _EVERY):
         data.qpos[:], data.qvel[:], data.qacc[:] = motion.q[k], motion.v[k], motion.a[k]
         mujoco.mj_inverse(model, data)
-        left = data.qfrc_inverse.copy()
-        left[6:] -= motion.effort[k]
+        residual = data.qfrc_inverse.copy()
+        residual[6:] -= motion.effort[k]
         for foot, wrench in zip(motion.feet, motion.wrench[k], strict=True):
             body = model.body(foot).id
             axes = data.xmat[body].reshape(3, 3)
-            mujoco.mj_jacBody(model, data, along, about, body)
-            left -= along.T @ (axes @ wrench[:3]) + about.T @ (axes @ wrench[3:])
-        worst = max(worst, float(np.abs(left).max()))
+            mujoco.mj_jacBody(model, data, translation, rotation, body)
+            residual -= translation.T @ (axes @ wrench[:3]) + rotation.T @ (axes @ wrench[3:])
+        worst = max(worst, float(np.abs(residual).max()))
     return worst / float(np.abs(motion.effort).max())
 
 
 def _welded(model: mujoco.MjModel, link: str) -> tuple[str, ...]:
-    """Return all links that nothing moves against a link."""
-    own = model.body_weldid[model.body(link).id]
-    return tuple(model.body(k).name for k in np.flatnonzero(model.body_weldid == own))
+    """Return all links that are welded to a link."""
+    weld = model.body_weldid[model.body(link).id]
+    return tuple(model.body(k).name for k in np.flatnonzero(model.body_weldid == weld))
 
 
 def run(draw: Draw, secret: Secret, log: int) -> Motion:
@@ -679,28 +678,28 @@ def run(draw: Draw, secret: Secret, log: int) -> Motion:
     stiffness, damping = by_names(robot.stiffness, joints), by_names(robot.damping, joints)
     data = mujoco.MjData(model)
     data.qpos[:] = start
-    every = round(1.0 / (draw.rate * STEP))
+    interval = round(1.0 / (draw.rate * STEP))
     begin, steps = round(_SETTLING / STEP), round(length / STEP)
     times = np.arange(steps) * STEP
-    wanted, rates = target(times), rate(times)
+    targets, rates = target(times), rate(times)
     mujoco.mj_forward(model, data)
     places = [data.body(foot).xpos[:2] for foot in feet]
     center, before = np.mean(places, axis=0), data.subtree_com[0, :2].copy()
     balance = [(joints.index(joint), *push) for joint, push in robot.balance.items()]
-    found: list[tuple[Array, ...]] = []
+    samples: list[tuple[Array, ...]] = []
     for k in range(steps):
-        effort = stiffness * (wanted[k] - data.qpos[7:]) + damping * (rates[k] - data.qvel[6:])
+        effort = stiffness * (targets[k] - data.qpos[7:]) + damping * (rates[k] - data.qvel[6:])
         now = data.subtree_com[0, :2].copy()
         push = _HOLD * (now - center) + _BRAKE * (now - before) / STEP
         before = now
         for joint, axis, sign in balance:
             effort[joint] += sign * push[axis]
         data.qfrc_applied[6:] = effort
-        if k < begin or k % every:
+        if k < begin or k % interval:
             mujoco.mj_step(model, data)
             continue
         mujoco.mj_forward(model, data)
-        found.append(
+        samples.append(
             (
                 data.qpos.copy(),
                 data.qvel.copy(),
@@ -713,13 +712,13 @@ def run(draw: Draw, secret: Secret, log: int) -> Motion:
     stands = 1.0 - 2.0 * (data.qpos[4] ** 2 + data.qpos[5] ** 2)
     if not stands > _UPRIGHT:
         raise RuntimeError(f"{draw.robot} falls over: {draw}")
-    stacked = [np.array(each) for each in zip(*found, strict=True)]
-    time = np.arange(len(found)) / draw.rate
+    stacked = [np.array(each) for each in zip(*samples, strict=True)]
+    time = np.arange(len(samples)) / draw.rate
     return Motion(model, joints, feet, time, *stacked)
 
 
 def log_columns(draw: Draw, secret: Secret, motion: Motion, rng: Generator) -> Mapping[str, Array]:
-    """Return what sensors say of a motion, by the names of columns."""
+    """Return the measurements of a motion, by the names of columns."""
     noise = draw.noise
 
     def measured(values: Array, deviation: float | Array) -> Array:
@@ -743,10 +742,10 @@ def log_columns(draw: Draw, secret: Secret, motion: Motion, rng: Generator) -> M
 def _base_columns(draw: Draw, motion: Motion, rng: Generator) -> dict[str, Array]:
     """Return columns of the base's estimator and of the IMU."""
     size, noise = len(motion.time), draw.noise
-    place = motion.q[:, :3] + noise * _PLACE * _drift(draw, size, rng)
-    turn = noise * _TURN * _drift(draw, size, rng)
+    position = motion.q[:, :3] + noise * _PLACE * _drift(draw, size, rng)
+    rotation = noise * _TURN * _drift(draw, size, rng)
     quaternion = np.empty((size, 4))
-    force, along = np.empty((size, 3)), np.empty((size, 3))
+    force, linear = np.empty((size, 3)), np.empty((size, 3))
     gravity = motion.model.opt.gravity
     for k in range(size):
         quaternion[k] = motion.q[k, 3:7]
@@ -754,19 +753,19 @@ def _base_columns(draw: Draw, motion: Motion, rng: Generator) -> dict[str, Array
         mujoco.mju_quat2Mat(axes, quaternion[k])
         axes = axes.reshape(3, 3)
         force[k] = axes.T @ (motion.a[k, :3] - gravity)
-        along[k] = axes.T @ motion.rate[k, :3]
-        mujoco.mju_quatIntegrate(quaternion[k], turn[k], 1.0)
-    about = motion.rate[:, 3:6]
+        linear[k] = axes.T @ motion.rate[k, :3]
+        mujoco.mju_quatIntegrate(quaternion[k], rotation[k], 1.0)
+    angular = motion.rate[:, 3:6]
 
     def measured(values: Array, deviation: float) -> Array:
         return values + noise * deviation * rng.normal(size=values.shape)
 
     return {
-        **_axes("base.position", place),
+        **_axes("base.position", position),
         **{f"base.orientation.{n}": quaternion[:, i] for i, n in enumerate("wxyz")},
-        **_axes("base.linear_velocity", measured(along, _VELOCITY)),
-        **_axes("base.angular_velocity", measured(about, _GYRO)),
-        **_axes("imu.angular_velocity", measured(about, _GYRO)),
+        **_axes("base.linear_velocity", measured(linear, _VELOCITY)),
+        **_axes("base.angular_velocity", measured(angular, _GYRO)),
+        **_axes("imu.angular_velocity", measured(angular, _GYRO)),
         **_axes("imu.linear_acceleration", measured(force, _FORCE)),
     }
 
@@ -792,7 +791,7 @@ def _foot_columns(draw: Draw, secret: Secret, motion: Motion, rng: Generator) ->
 
 
 def _drift(draw: Draw, size: int, rng: Generator) -> Array:
-    """Return (N, 3) noise that varies slowly with deviation one, and a little white noise."""
+    """Return slow noise (N, 3) of unit deviation, with a little white noise."""
     memory = np.exp(-1.0 / (draw.rate * _SLOWNESS))
     slow = coloured(rng.normal(size=(size, 3)), memory)
     return slow + _WHITE * rng.normal(size=(size, 3))

@@ -1,4 +1,4 @@
-"""Motions of arms by name: positions, velocities and accelerations (N, n) within limits."""
+"""Named motions of arms: positions, velocities and accelerations (N, n) within limits."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ Motion = tuple[Array, Array, Array]
 
 FAST, SLOW, POINTS = "fast", "slow", "point to point"
 MOTIONS = (FAST, SLOW, POINTS)
-FINE = 500.0  # 1/s, rate of the motions of `EVERYDAY`
+FINE = 500.0  # Hz, sampling rate of the motions of `EVERYDAY`
 _SLOW_SPEED = 0.3  # rad/s
-_FASTEST = 4.0  # rad/s, where limits are looser
+_FASTEST = 4.0  # rad/s, upper bound of the limits
 _REACH, _PACE = 0.6, 0.6  # of the limits
-_SHORTEST = 0.8  # s, of a move
-_SMOOTHED = 0.08  # s, over which a drive rounds off its moves
+_SHORTEST = 0.8  # s, shortest move
+_SMOOTHED = 0.08  # s, window over which a drive smooths its moves
 
 
 def make_motion(
     kind: str, engine: Engine, time: Array, rng: Generator, *, pace: float = 1.0
 ) -> Motion:
-    """Return a motion of a kind; `pace` is the share of the speeds that those of `EVERYDAY` use."""
+    """Return a motion of a kind; those of `EVERYDAY` use a share `pace` of the speeds."""
     center, reach, speed = motion_range(engine)
     if kind in EVERYDAY:
         q = center + EVERYDAY[kind](time, reach, pace * speed, rng)
@@ -39,16 +39,16 @@ def make_motion(
 
 
 def motion_range(engine: Engine) -> tuple[Array, Array, Array]:
-    """Return the middle of motions, how far they go from it, and how fast, (n,) each."""
+    """Return the centres of motions, the largest distances from them, and speeds, (n,) each."""
     half = np.minimum((engine.high - engine.low) / 2.0, np.pi / 2.0)
     center = np.clip(0.0, engine.low + half, engine.high - half)
     return center, _REACH * half, _PACE * np.minimum(engine.fastest, _FASTEST)
 
 
 def _multisine(center: Array, reach: Array, speed: Array, time: Array, rng: Generator) -> Motion:
-    """Return sums of sines q = centre + Σ a sin(ω t + φ), which do not repeat."""
+    """Return sums of sines q = centre + Σ a sin(ω t + φ), which are not periodic."""
     n = len(center)
-    # A wave that fills the reach at this speed, and its multiples.
+    # Frequency of a wave with these amplitudes and speeds; others are multiples.
     base = float(np.clip(np.median(speed / reach) / 2.5, 0.25, 0.65))
     rate = base * (np.arange(1, 7)[:, None] + rng.uniform(-0.4, 0.4, (6, n)))
     phase = rng.uniform(0.0, 2.0 * np.pi, (6, n))
@@ -61,25 +61,25 @@ def _multisine(center: Array, reach: Array, speed: Array, time: Array, rng: Gene
 def _point_to_point(
     center: Array, reach: Array, speed: Array, time: Array, rng: Generator
 ) -> Motion:
-    """Return moves of least jerk between random points, with rests of 0.2 to 0.6 s."""
+    """Return minimum-jerk moves between random points, with rests of 0.2 to 0.6 s."""
     q, v, a = (np.zeros((len(time), len(center))) for _ in range(3))
-    at, t = center, 0.0
+    start, t = center, 0.0
     while t < time[-1]:
         goal = center + reach * rng.uniform(-1.0, 1.0, len(center))
-        # The peak speed of such a move is 15/8 of its mean speed.
-        length = 1.875 * float(np.max(np.abs(goal - at) / speed)) / rng.uniform(0.5, 1.0)
+        # The peak speed of a minimum-jerk move is 15/8 of its mean speed.
+        length = 1.875 * float(np.max(np.abs(goal - start) / speed)) / rng.uniform(0.5, 1.0)
         length = max(length, _SHORTEST)
         s = np.clip((time - t) / length, 0.0, 1.0)[:, None]
         now = (time >= t)[:, None]
-        step = goal - at
-        q = np.where(now, at + step * s**3 * (10.0 - 15.0 * s + 6.0 * s**2), q)
+        step = goal - start
+        q = np.where(now, start + step * s**3 * (10.0 - 15.0 * s + 6.0 * s**2), q)
         v = np.where(now, step * 30.0 * s**2 * (1.0 - s) ** 2 / length, v)
         a = np.where(now, step * 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / length**2, a)
-        at, t = goal, t + length + rng.uniform(0.2, 0.6)
+        start, t = goal, t + length + rng.uniform(0.2, 0.6)
     return q, v, a
 
 
-# Motions as people drive arms, positions (N, n) about their middle at instants (N,)
+# Everyday motions: positions (N, n) relative to their centres at instants (N,)
 
 
 def _scaled(q: Array, reach: Array, speed: Array) -> Array:
@@ -95,17 +95,17 @@ def _fourier(t: Array, reach: Array, speed: Array, rng: Generator) -> Array:
 
 
 def _trapezoids(t: Array, reach: Array, speed: Array, rng: Generator) -> Array:
-    rows, at = [], np.zeros(len(reach))
+    rows, start = [], np.zeros(len(reach))
     while sum(map(len, rows)) < len(t):
         goal = reach * rng.uniform(-1.0, 1.0, len(reach))
-        seconds = max(1.25 * float(np.max(np.abs(goal - at) / speed)), 0.6)
+        seconds = max(1.25 * float(np.max(np.abs(goal - start) / speed)), 0.6)
         s = np.linspace(0.0, 1.0, int(seconds * FINE))
         ramp = np.select(
             [s < 0.2, s > 0.8], [s**2 / 0.32, 1.0 - (1.0 - s) ** 2 / 0.32], (s - 0.1) / 0.8
         )
-        rows += [at + (goal - at) * ramp[:, None]]
+        rows += [start + (goal - start) * ramp[:, None]]
         rows += [np.tile(goal, (int(rng.uniform(0.0, 1.0) * FINE), 1))]
-        at = goal
+        start = goal
     window = np.hanning(int(_SMOOTHED * FINE) + 2)[1:-1]
     padded = np.pad(np.concatenate(rows)[: len(t)], ((len(window),) * 2, (0, 0)), "edge")
     smooth = [np.convolve(each, window / window.sum(), "same") for each in padded.T]
@@ -119,12 +119,12 @@ def _teleoperated(t: Array, reach: Array, speed: Array, rng: Generator) -> Array
 
 
 def _in_turn(t: Array, reach: Array, speed: Array, rng: Generator) -> Array:
-    q, each = np.zeros((len(t), len(reach))), t[-1] / len(reach)
+    q, seconds = np.zeros((len(t), len(reach))), t[-1] / len(reach)
     for joint, size in enumerate(0.8 * reach):
-        since = t - joint * each
-        moves = (since >= 0.0) & (since < each)
+        since = t - joint * seconds
+        moves = (since >= 0.0) & (since < seconds)
         rate = min(0.7 * speed[joint] / size, 4.0) * rng.uniform(0.5, 1.0)
-        bump = np.sin(np.pi * since[moves] / each) ** 2
+        bump = np.sin(np.pi * since[moves] / seconds) ** 2
         q[moves, joint] = size * np.sin(rate * since[moves]) * bump
     return q
 

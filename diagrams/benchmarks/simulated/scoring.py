@@ -1,4 +1,4 @@
-"""What is found beside what is true: steps of a diagnosis, and the lines of a report."""
+"""Scores of diagnoses against the truth, and the lines of a report."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from geodrake.model import RobotModel
 
 Row = Mapping[str, Any]
 Places = Mapping[str, Sequence[str]]
-"""Effect -> where it is."""
+"""Effect -> its places."""
 SURE = 0.9
 
 
@@ -30,41 +30,41 @@ SURE = 0.9
 
 
 def explained(model: RobotModel, recording: Recording, *, is_off: bool) -> dict[str, Any]:
-    """Return what `explain` says of logs, and what of it is right.
+    """Explain the logs of a recording, and score the result.
 
-    Where bodies of the file are off (`is_off`), wrong inertias are right.
+    If bodies of the file are wrong (`is_off`), wrong inertias are right.
     """
-    began = time.process_time()
+    start = time.process_time()
     try:
-        found = explain(model, list(recording.logs))
+        diagnosis = explain(model, list(recording.logs))
     except GeodrakeError as error:
         return {"failed": str(error), "steps": [], "missing": ["everything"], "wrong": []}
-    said = {
+    summary = {
         "failed": None,
-        "seconds": time.process_time() - began,
-        "verdict": found.verdict,
-        "start_nrms": found.start.nrms,
-        "end_nrms": found.end.nrms,
-        "notes": list(found.notes),
+        "seconds": time.process_time() - start,
+        "verdict": diagnosis.verdict,
+        "start_nrms": diagnosis.start.nrms,
+        "end_nrms": diagnosis.end.nrms,
+        "notes": list(diagnosis.notes),
     }
     right: Places = {**recording.beside, **recording.hidden}
     if is_off:
         right = {**right, WRONG_INERTIA: model.bodies}
-    rows = [step_row(step, right) for step in found.steps]
+    rows = [step_row(step, right) for step in diagnosis.steps]
     missing = not_found(rows, recording.hidden)
-    return said | judged(rows, missing, recording.hidden.get(HELD, ()), recording.mass)
+    return summary | judged(rows, missing, recording.hidden.get(HELD, ()), recording.mass)
 
 
 def step_row(step: Step | Row, right: Places) -> dict[str, Any]:
-    """Return the row of a step, or of one as JSON has it, and whether it is right."""
-    said = step.__getitem__ if isinstance(step, Mapping) else partial(getattr, step)
-    effect, where = said("effect"), list(said("where"))
+    """Return the row of a step, or of its JSON form, with whether it is right."""
+    value = step.__getitem__ if isinstance(step, Mapping) else partial(getattr, step)
+    effect, where = value("effect"), list(value("where"))
     return {
         "effect": effect,
         "where": where,
-        "probability": float(said("probability")),
-        "rivals": list(said("indistinguishable_from")),
-        **{name: plain(said(name)) for name in ("parameters", "deviations", "systematic")},
+        "probability": float(value("probability")),
+        "rivals": list(value("indistinguishable_from")),
+        **{name: plain(value(name)) for name in ("parameters", "deviations", "systematic")},
         "right": effect in right and set(where) <= set(right[effect]),
     }
 
@@ -72,29 +72,29 @@ def step_row(step: Step | Row, right: Places) -> dict[str, Any]:
 def judged(
     rows: Sequence[Row], missing: Sequence[str], held_by: Sequence[str], mass: float
 ) -> dict[str, Any]:
-    """Return rows of steps, what is missing and wrong among them, and a payload's mass."""
+    """Return rows of steps, the missing and wrong ones, and a payload's mass."""
     wrong = [step_words(row) for row in rows if not row["right"]]
     return {"steps": rows, "missing": missing, "wrong": wrong, **_mass_row(rows, held_by, mass)}
 
 
 def not_found(rows: Sequence[Row], wanted: Places) -> list[str]:
-    """Return wanted effects at places at which no step has them."""
+    """Describe wanted effects at places where no step has them."""
     found = {(row["effect"], place) for row in rows for place in row["where"]}
-    at = [(name, place) for name, places in wanted.items() for place in places]
-    return [f"{name} at {place}" for name, place in at if (name, place) not in found]
+    pairs = [(name, place) for name, places in wanted.items() for place in places]
+    return [f"{name} at {place}" for name, place in pairs if (name, place) not in found]
 
 
 def step_words(step: Row) -> str:
-    """Return a step in writing."""
+    """Describe a step in words."""
     return f"{step['effect']} at {', '.join(step['where'])} ({step['probability']:.3f})"
 
 
 def _mass_row(rows: Sequence[Row], held_by: Sequence[str], truth: float) -> dict[str, Any]:
-    """Return a payload's mass as found, and how well it is said to be known; nothing without."""
-    found = [row for row in rows if row["effect"] == HELD and set(row["where"]) & set(held_by)]
-    if not found:
+    """Return the estimate of a payload's mass and its uncertainty, if there is one."""
+    steps = [row for row in rows if row["effect"] == HELD and set(row["where"]) & set(held_by)]
+    if not steps:
         return {}
-    step = found[-1]
+    step = steps[-1]
     body = next(place for place in step["where"] if place in held_by)
     mass, deviation = step["parameters"][body]["mass"], step["deviations"][body]["mass"]
     systematic = step["systematic"].get(body, {}).get("mass", 0.0)
@@ -110,14 +110,14 @@ def _mass_row(rows: Sequence[Row], held_by: Sequence[str], truth: float) -> dict
 
 
 def is_missed(row: Row) -> bool:
-    """Return whether anything is missing, or named and wrong."""
+    """Return whether an effect is missing or wrong."""
     return bool(row["failed"] or row["missing"] or row["wrong"])
 
 
 def missed_words(row: Row) -> str:
-    """Return what a draw was and hid, then what was missed and what was right, in a line."""
-    about = takewhile(lambda item: item[0] != "failed", plain(row).items())
-    words = [f"{name} {', '.join(x) if isinstance(x, dict) else x}" for name, x in about if x]
+    """Describe a draw, its missing and wrong effects, and the right ones, in a line."""
+    settings = takewhile(lambda item: item[0] != "failed", plain(row).items())
+    words = [f"{name} {', '.join(x) if isinstance(x, dict) else x}" for name, x in settings if x]
     titles = [title for title in ("failed", "missing", "wrong") if row[title]]
     words += [f"{title.upper()} {row[title]}" for title in titles]
     right = [step_words(step) for step in row["steps"] if step["right"]]
@@ -125,12 +125,12 @@ def missed_words(row: Row) -> str:
 
 
 def is_clean(row: Row) -> bool:
-    """Return whether no name is wrong."""
+    """Return whether no effect is wrong."""
     return not (row["wrong"] or row["failed"])
 
 
 def is_sure_and_wrong(row: Row) -> bool:
-    """Return whether a name is wrong and said to be sure."""
+    """Return whether a wrong effect has a high probability."""
     return any(step["probability"] > SURE and not step["right"] for step in row["steps"])
 
 
@@ -139,21 +139,21 @@ def is_sure_and_wrong(row: Row) -> bool:
 
 @dataclass(frozen=True)
 class Line:
-    """A line of a report: what was to be reached, and what was."""
+    """A line of a report: a goal and the value reached."""
 
     figure: str
-    bar: float | None  # what was asked for, None where nothing was
-    most: bool  # whether the bar is an upper one
-    value: float | None = None  # what was reached
-    # low, high: 95 % interval of it, by Wilson for shares; None for medians.
+    bar: float | None  # goal; None without one
+    most: bool  # whether the bar is an upper bound
+    value: float | None = None
+    # low, high: its 95 % interval; of quantiles the range of values.
     low: float | None = None
     high: float | None = None
     logs: int = 0
-    highest: float | None = None  # what it must not be above, where `bar` is a lower bound
+    highest: float | None = None  # upper bound if `bar` is a lower bound
 
     @property
     def reached(self) -> bool | None:
-        """Whether the bar is reached; None where there is none, or no log."""
+        """Whether the bar is reached; None without a bar or a log."""
         if self.bar is None or self.value is None:
             return None
         if self.most:
@@ -162,7 +162,7 @@ class Line:
 
 
 def told(lines: Sequence[Line]) -> list[dict[str, Any]]:
-    """Return lines as a file has them."""
+    """Return lines for a file."""
     return [{**asdict(line), "reached": line.reached} for line in lines]
 
 
@@ -196,7 +196,7 @@ def tell_draws(
     rows: Sequence[Row],
     is_missed: Callable[[Row], bool] = is_missed,
 ) -> None:
-    """Print the report of robots and the draws in which something was missed, and write them."""
+    """Print and write the report and the missed draws."""
     show_lines(title, lines)
     missed = [missed_words(row) for row in rows if is_missed(row)]
     print(f"Missed, {len(missed)} of {len(rows)} draws:", *missed, sep="\n- ")
@@ -211,16 +211,16 @@ def share(
     most: bool = False,
     highest: float | None = None,
 ) -> Line:
-    """Return a line of a share."""
+    """Return the line of a share, with its Wilson interval."""
     if not rows:
         return Line(figure, bar, most, highest=highest)
-    of_wilson = binomtest(sum(rows), len(rows)).proportion_ci(0.95, "wilson")
-    value, interval = float(np.mean(rows)), (float(of_wilson.low), float(of_wilson.high))
+    wilson = binomtest(sum(rows), len(rows)).proportion_ci(0.95, "wilson")
+    value, interval = float(np.mean(rows)), (float(wilson.low), float(wilson.high))
     return Line(figure, bar, most, value, *interval, len(rows), highest)
 
 
 def median(figure: str, values: Sequence[float], bar: float | None = None) -> Line:
-    """Return a line of a median, with the interval that ranks give."""
+    """Return the line of a median, with its interval from ranks."""
     if not values:
         return Line(figure, bar, True)
     ranked, n = np.sort(values), len(values)
@@ -231,13 +231,13 @@ def median(figure: str, values: Sequence[float], bar: float | None = None) -> Li
 
 
 def quantiles(figure: str, values: Sequence[float], bar: float | None = None) -> list[Line]:
-    """Return the median, which the bar is for, and what nine of ten are below."""
+    """Return lines of the median, with the bar, and the 90 % quantile."""
     if not values:
         return [Line(f"{figure}, median", bar, True), Line(f"{figure}, 90 %", None, True)]
     ends = min(values), max(values)
     return [
-        Line(f"{figure}, {name}", most, True, float(np.quantile(values, at)), *ends, len(values))
-        for name, at, most in (("median", 0.5, bar), ("90 %", 0.9, None))
+        Line(f"{figure}, {name}", most, True, float(np.quantile(values, level)), *ends, len(values))
+        for name, level, most in (("median", 0.5, bar), ("90 %", 0.9, None))
     ]
 
 
@@ -245,7 +245,7 @@ BINS = ((0.5, 0.7), (0.7, 0.9), (0.9, 0.99), (0.99, 1.0))
 
 
 def calibration(rows: Sequence[Row]) -> list[Line]:
-    """Return how many of the things said with a probability in a bin are true."""
+    """Return the shares of right steps by bins of their probability."""
     steps = [step for row in rows for step in row.get("steps", ())]
     bars = {(0.9, 0.99): {"bar": 0.85, "highest": 0.99}}
     return [

@@ -1,7 +1,7 @@
-"""Arms moved by servos, in formulas other than geodrake's.
+"""Arms driven by servos, simulated without formulas of geodrake.
 
-Pinocchio gives accelerations, and friction, armature and servos are added here by hand; MuJoCo has
-position actuators, armature, damping and friction of its own.
+Pinocchio computes the dynamics; friction, armature and servos are added here. MuJoCo has position
+actuators, armature, damping and friction of its own.
 """
 
 from __future__ import annotations
@@ -16,58 +16,57 @@ from diagrams.benchmarks.simulated.engines import Array
 
 STEP = 0.001  # s
 _CRBA_HAS_ARMATURE = int(pin.__version__.split(".")[0]) >= 3
-_FADING = 0.002  # rad/s below which dry friction fades
-_FINER = 4  # steps in the place of one, where links have play
+_FADING = 0.002  # rad/s, speed scale of dry friction
+_FINER = 4  # substeps for links with backlash
 _SIDES_OF_GAPS = [0.99, 0.999, 1e-5, 0.5, 2.0]  # MuJoCo's solimp
 
 
 @dataclass(frozen=True)
 class Servos:
-    """What moves the joints of an arm, and what hinders them; (n,) each."""
+    """Servos, friction and backlash of the joints of an arm, (n,) each."""
 
     stiffness: Array  # kp, N·m/rad
     damping: Array  # kd, N·m·s/rad
-    # Whether the damping acts on the rate of the command less the velocity, and not on the velocity
-    # alone.
+    # Whether damping acts on the difference between the rate of the command and the velocity.
     knows_rate: bool
-    delay: float  # how late commands act, s, a whole number of steps
+    delay: float  # of commands, s, a whole number of steps
     viscous: Array  # N·m·s/rad
     coulomb: Array  # N·m
     armature: Array  # kg·m²
     limit: Array  # largest torque, N·m
-    # ki, N·m/(rad·s); it stays where the torque is at its limit and would go beyond.
+    # ki, N·m/(rad·s), with anti-windup at the limit of torque.
     integral: Array
     play: Array  # half width of the gap between motor and link, rad
 
 
 def simulated(engine: str, urdf: str, servos: Servos, command: Array) -> tuple[Array, Array, Array]:
-    """Return positions, velocities and torques (N, n) of an arm that is told where to go.
+    """Return positions, velocities and torques (N, n) of an arm that follows commands.
 
     Args:
-        command: (N, n) positions it is told to go to, `STEP` apart; it begins there, at rest.
+        command: (N, n) commanded positions at intervals of `STEP`; it starts at rest at the first.
     """
-    late = round(servos.delay / STEP)
-    told = np.concatenate([np.repeat(command[:1], late, axis=0), command])[: len(command)]
-    rate = np.gradient(told, STEP, axis=0) if servos.knows_rate else np.zeros_like(told)
+    delay_steps = round(servos.delay / STEP)
+    delayed = np.concatenate([np.repeat(command[:1], delay_steps, axis=0), command])[: len(command)]
+    rate = np.gradient(delayed, STEP, axis=0) if servos.knows_rate else np.zeros_like(delayed)
     run = _by_pinocchio if engine == "pinocchio" else _by_mujoco
-    return run(urdf, servos, told, rate)
+    return run(urdf, servos, delayed, rate)
 
 
 def _by_pinocchio(
-    urdf: str, servos: Servos, told: Array, rate: Array
+    urdf: str, servos: Servos, goal: Array, rate: Array
 ) -> tuple[Array, Array, Array]:
     model = pin.buildModelFromXML(urdf)
     data = model.createData()
     model.armature = servos.armature
-    q, v, summed = told[0].copy(), np.zeros(model.nv), np.zeros(model.nv)
-    positions, velocities, torques = (np.empty_like(told) for _ in range(3))
-    for k in range(len(told)):
-        raw = servos.stiffness * (told[k] - q) + servos.damping * (rate[k] - v)
-        raw = raw + servos.integral * summed
-        summed = _summed(summed, told[k] - q, raw, servos.limit)
+    q, v, integral = goal[0].copy(), np.zeros(model.nv), np.zeros(model.nv)
+    positions, velocities, torques = (np.empty_like(goal) for _ in range(3))
+    for k in range(len(goal)):
+        raw = servos.stiffness * (goal[k] - q) + servos.damping * (rate[k] - v)
+        raw = raw + servos.integral * integral
+        integral = _integrated(integral, goal[k] - q, raw, servos.limit)
         torque = np.clip(raw, -servos.limit, servos.limit)
         positions[k], velocities[k], torques[k] = q, v, torque
-        # Friction at the end of the step, so that joints that stick do not shake.
+        # Implicit friction keeps sticking joints from chattering.
         pin.computeAllTerms(model, data, q, v)
         M = pin.crba(model, data, q)
         M = np.triu(M) + np.triu(M, 1).T
@@ -79,20 +78,20 @@ def _by_pinocchio(
     return positions, velocities, torques
 
 
-def _summed(summed: Array, error: Array, raw: Array, limit: Array) -> Array:
-    """Return integrals after a step; those of joints at their limit do not go on beyond it."""
+def _integrated(integral: Array, error: Array, raw: Array, limit: Array) -> Array:
+    """Return the integrals after a step; at their limit, joints do not integrate beyond it."""
     beyond = (np.abs(raw) > limit) & (np.sign(raw) == np.sign(error))
-    return np.where(beyond, summed, summed + STEP * error)
+    return np.where(beyond, integral, integral + STEP * error)
 
 
 def _with_friction(M: Array, v: Array, free: Array, servos: Servos) -> Array:
-    """Return velocities after a step, friction F tanh(v/ε) + c v implicit, by Newton's method."""
+    """Return velocities after a step; Newton's method solves friction F tanh(v/ε) + c v."""
     after = v + STEP * np.linalg.solve(M, free - servos.viscous * v)
     for _ in range(6):
         sign = np.tanh(after / _FADING)
         slope = servos.viscous + servos.coulomb * (1.0 - sign**2) / _FADING
-        left = M @ (after - v) - STEP * (free - servos.viscous * after - servos.coulomb * sign)
-        step = np.linalg.solve(M + STEP * np.diag(slope), -left)
+        residual = M @ (after - v) - STEP * (free - servos.viscous * after - servos.coulomb * sign)
+        step = np.linalg.solve(M + STEP * np.diag(slope), -residual)
         after = after + np.clip(step, -0.05, 0.05) if np.abs(step).max() > 0.5 else after + step
         if np.abs(step).max() < 1e-10:
             break
@@ -100,7 +99,7 @@ def _with_friction(M: Array, v: Array, free: Array, servos: Servos) -> Array:
 
 
 def servo_spec(urdf: str, step: float) -> mujoco.MjSpec:
-    """Return an arm with a position actuator at each joint, without shapes and limits of joints."""
+    """Return an arm with a position actuator at each joint, without shapes and joint limits."""
     spec = mujoco.MjSpec.from_string(urdf)
     for geom in list(spec.geoms):
         spec.delete(geom)
@@ -115,15 +114,15 @@ def servo_spec(urdf: str, step: float) -> mujoco.MjSpec:
 
 
 def set_damping(joint: mujoco.MjsJoint, damping: float) -> None:
-    """Set the damping of a joint, which is a number of MuJoCo's, or the first of several."""
+    """Set the damping of a joint, in MuJoCo a number or the first of several coefficients."""
     if np.ndim(joint.damping):
         joint.damping = np.array([damping, *np.zeros(np.size(joint.damping) - 1)])
     else:
         joint.damping = damping
 
 
-def _by_mujoco(urdf: str, servos: Servos, told: Array, rate: Array) -> tuple[Array, Array, Array]:
-    # The sides of gaps are stiff.
+def _by_mujoco(urdf: str, servos: Servos, goal: Array, rate: Array) -> tuple[Array, Array, Array]:
+    # The stops of gaps are stiff.
     steps = _FINER if servos.play.any() else 1
     spec = servo_spec(urdf, STEP / steps)
     motors = list(spec.joints)
@@ -144,14 +143,14 @@ def _by_mujoco(urdf: str, servos: Servos, told: Array, rate: Array) -> tuple[Arr
         np.array([getattr(model.joint(joint.name), name)[0] for joint in motors])
         for name in ("qposadr", "dofadr")
     )
-    data.qpos[at_q] = told[0]
-    positions, velocities, torques = (np.empty_like(told) for _ in range(3))
-    summed = np.zeros(len(motors))
-    for k in range(len(told)):
-        data.ctrl[:] = servos.stiffness * told[k] + servos.damping * rate[k]
-        data.ctrl[:] += servos.integral * summed
+    data.qpos[at_q] = goal[0]
+    positions, velocities, torques = (np.empty_like(goal) for _ in range(3))
+    integral = np.zeros(len(motors))
+    for k in range(len(goal)):
+        data.ctrl[:] = servos.stiffness * goal[k] + servos.damping * rate[k]
+        data.ctrl[:] += servos.integral * integral
         raw = data.ctrl - servos.stiffness * data.qpos[at_q] - servos.damping * data.qvel[at_v]
-        summed = _summed(summed, told[k] - data.qpos[at_q], raw, servos.limit)
+        integral = _integrated(integral, goal[k] - data.qpos[at_q], raw, servos.limit)
         positions[k], velocities[k] = data.qpos[at_q], data.qvel[at_v]
         mujoco.mj_step(model, data, steps)
         torques[k] = data.actuator_force
@@ -159,7 +158,7 @@ def _by_mujoco(urdf: str, servos: Servos, told: Array, rate: Array) -> tuple[Arr
 
 
 def _add_play(joint: mujoco.MjsJoint, half_width: float) -> None:
-    """Add a joint after that of the motor, about the same axis, which turns within a gap."""
+    """Add a joint after the motor's, about the same axis, that moves within a gap."""
     play = joint.parent.add_joint(name=f"{joint.name}_play", axis=joint.axis, pos=joint.pos)
     play.type = joint.type
     play.limited, play.range = 1, [-half_width, half_width]

@@ -1,7 +1,7 @@
-"""What logs can hide: effects of geodrake's catalogue in formulas of their own, and others.
+"""Hidden effects, of geodrake's catalogue and others, without formulas of geodrake.
 
-A truth says where it acts, and gives its effort for a size of one; benchmarks scale that to a share
-of the joint's effort. Laws draw their random numbers anew, the same ones, at every call.
+A truth has its places and a law for its effort; benchmarks choose its size for a share of the
+joint's effort. Laws draw the same random numbers at every call.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ DRY, WET, ROTOR, HELD = "coulomb_friction", "viscous_friction", "rotor_inertia",
 LATE, WRONG_INERTIA, OFFSET = "effort_delay", "wrong_inertia", "effort_offset"
 JOINT, PAIR, LINK, BODY, ROBOT = "joint", "pair", "link", "body", "robot"
 _BREAKAWAY = 5e-3  # rad/s
-_SOFTEST = 0.05  # rad, to which a gear gives way at most
-_DENT = 0.05  # of the gap, that a flank gives way under the largest load
-_FINE = 1e-3  # s, longest step of a pendulum
+_SOFTEST = 0.05  # rad, largest deflection of a gear
+_DENT = 0.05  # of the gap, deflection of a flank under the largest load
+_FINE = 1e-3  # s, longest time step of a pendulum
 
 
 class Signals(NamedTuple):
-    """What is seen of one joint, (N,) each."""
+    """Signals of one joint, (N,) each."""
 
     time: Array
     q: Array
@@ -49,7 +49,7 @@ class Signals(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What a hidden effort may be a function of: time (N,), (N, n) each, and the engine."""
+    """Arguments of hidden efforts: time (N,), signals (N, n), and the engine."""
 
     time: Array
     q: Array
@@ -62,30 +62,30 @@ class Seen:
     def of(
         cls, engine: Engine, kind: str, time: Array, rng: Generator, *, pace: float = 1.0
     ) -> Seen:
-        """Return a motion of a kind, and the efforts that it needs."""
+        """Return a motion of a kind with its efforts."""
         q, v, a = make_motion(kind, engine, time, rng, pace=pace)
         return cls(time, q, v, a, engine.efforts(q, v, a), engine)
 
     def joint(self, number: int) -> Signals:
-        """Return what is seen of a joint."""
+        """Return the signals of a joint."""
         return Signals(self.time, *(x[:, number] for x in (self.q, self.v, self.a, self.load)))
 
     def rows(self, rows: slice) -> Seen:
-        """Return some of the samples."""
+        """Return selected samples."""
         return Seen(*(x[rows] for x in (self.time, self.q, self.v, self.a, self.load)), self.engine)
 
     def at(self, joint: int, values: Array) -> Array:
-        """Return (N, n) effort of a joint."""
+        """Return efforts (N, n) that are zero at other joints."""
         effort = np.zeros_like(self.q)
         effort[:, joint] = values
         return effort
 
     def more(self, q: Array, v: Array, a: Array) -> Array:
-        """Return (N, n) effort that another motion, or the robot as it is now, needs more."""
+        """Return the additional efforts (N, n) of another motion, or of a changed engine."""
         return self.engine.efforts(q, v, a) - self.load
 
     def with_bodies(self, bodies: Array) -> Array:
-        """Return (N, n) effort that the robot needs more with other bodies."""
+        """Return the additional efforts (N, n) with other bodies."""
         before = self.engine.bodies()
         self.engine.set_bodies(bodies)
         effort = self.more(self.q, self.v, self.a)
@@ -93,22 +93,22 @@ class Seen:
         return effort
 
     def tilted(self, x: float, y: float) -> Array:
-        """Return (N, n) effort that the robot needs more on a base turned about (x, y, 0), rad."""
+        """Return the additional efforts (N, n) on a base rotated by (x, y, 0), rad."""
         size = np.hypot(x, y)
-        # Gravity as the turned base sees it: R(θ)ᵀ g by Rodrigues' formula.
-        leans = np.sin(size) / size
-        self.engine.set_gravity(-GRAVITY[2] * np.array([leans * y, -leans * x, -np.cos(size)]))
-        found = self.more(self.q, self.v, self.a)
+        # Gravity in the frame of the rotated base: R(θ)ᵀ g by Rodrigues' formula.
+        factor = np.sin(size) / size
+        self.engine.set_gravity(-GRAVITY[2] * np.array([factor * y, -factor * x, -np.cos(size)]))
+        efforts = self.more(self.q, self.v, self.a)
         self.engine.set_gravity(GRAVITY)
-        return found
+        return efforts
 
 
 @dataclass(frozen=True, eq=False)
 class Usual:
-    """What is known of a robot's motions, the same for all its logs."""
+    """Ranges of a robot's motions, the same for all its logs."""
 
     file: RobotFile  # the robot's model file
-    # center, half: (n,) middle and half width of the positions, rad.
+    # center, half: (n,) centre and half range of the positions, rad.
     center: Array
     half: Array
     speed: Array  # (n,) highest speeds, rad/s
@@ -117,7 +117,7 @@ class Usual:
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """Where a truth acts: joint or body, for a pair also the next one, and what is random."""
+    """Place of a truth: joint or body, a second joint of pairs, and random numbers."""
 
     joint: int
     other: int
@@ -126,23 +126,23 @@ class Site:
 
     @property
     def rng(self) -> Generator:
-        """The same random numbers, each time that they are asked for."""
+        """Generator of the same random numbers at each access."""
         return deepcopy(self.numbers)
 
     @property
     def known(self) -> Usual:
-        """What is known of the motions."""
+        """Ranges of the motions; a ValueError if they are unknown."""
         if self.usual is None:
             raise ValueError("This effect is one of robots whose motions are known.")
         return self.usual
 
     def place(self, seen: Seen, joint: int) -> Array:
-        """Return (N,) position of a joint in the range of its motions, from −1 to 1."""
+        """Return the position (N,) of a joint relative to its range, from −1 to 1."""
         return np.asarray((seen.q[:, joint] - self.known.center[joint]) / self.known.half[joint])
 
 
 Law = Callable[[Seen, Site, float], Array]
-"""Hidden effort (N, n), of what is seen, where it acts, and its size."""
+"""Hidden efforts (N, n) as a function of signals, place, and size."""
 Values = Mapping[str, float]
 
 
@@ -151,21 +151,21 @@ class Truth:
     """An effect that a log may hide."""
 
     name: str
-    places: str  # what it acts on: "joint", "pair", "link" (and all joints up to it), "body", …
+    places: str  # "joint", "pair", "link" (and all joints up to it), "body", …
     law: Law
-    # What geodrake should find by name, as multiples of the size.
+    # Parameters that geodrake should find, relative to the size.
     values: Values | Callable[[Generator], Values] = field(default_factory=dict)
-    companions: tuple[str, ...] = ()  # effects that it comes with, which are no mistakes
-    unit: float = 1.0  # a usual size, from which that of a wanted share is sought
-    largest: float = np.inf  # largest size, where formulas or geodrake's range end
-    # Whether the model must have been fitted to another log first.
+    companions: tuple[str, ...] = ()  # accompanying effects, which are not wrong
+    unit: float = 1.0  # initial size of the search for a share of the effort
+    largest: float = np.inf  # largest valid size
+    # Whether the model must first be fitted to another log.
     needs_known_inertia: bool = False
-    alone: bool = False  # whether it is left out of pairs
-    reverses: bool = False  # whether it shows only at a joint whose load changes its sign
-    # Of an effect of no catalogue, what a correlate is to name: pairs of a joint (its own, the
-    # other, any) and one of its signals, "position" or "speed"; or the time.
+    alone: bool = False  # whether it is excluded from pairs
+    reverses: bool = False  # whether it needs a load that changes its sign
+    # Expected correlates of an effect outside the catalogue: pairs of a joint (its own, the other,
+    # any) and one of its signals, "position" or "speed"; or the time.
     follows: tuple[tuple[str, str], ...] = ()
-    in_space: bool = False  # whether a planar robot does not feel it
+    in_space: bool = False  # whether it does not affect planar robots
 
     def found(self, site: Site, size: float) -> dict[str, float]:
         """Return the parameters that geodrake should find."""
@@ -176,7 +176,7 @@ class Truth:
 def scaled(
     share: float, reached: Callable[[float], float], truth: Truth, *, close: float, tries: int
 ) -> float:
-    """Return the size with which a truth reaches a share of the effort, about or at most."""
+    """Return the size at which a truth reaches a share of the effort, up to its largest size."""
     size = wanted = min(truth.unit, truth.largest)
     for _ in range(tries):
         size = wanted
@@ -187,12 +187,12 @@ def scaled(
 
 
 def smooth_sign(v: Array) -> Array:
-    """Return the direction of motion, v / √(v² + ε²)."""
+    """Return the smooth sign of a velocity, v / √(v² + ε²)."""
     return np.asarray(v / np.hypot(v, _BREAKAWAY))
 
 
 def of_joint(law: Callable[[Signals, Signals, Generator], Array]) -> Law:
-    """Return a law of the signals of its joint and of another one, and of random numbers."""
+    """Turn a function of the signals of two joints and random numbers into a law."""
 
     def effort(seen: Seen, site: Site, size: float) -> Array:
         own, other = seen.joint(site.joint), seen.joint(site.other)
@@ -212,14 +212,14 @@ def _heights(rng: Generator) -> Values:
 
 @of_joint
 def _asymmetric(own: Signals, other: Signals, rng: Generator) -> Array:
-    """Return friction whose height and slope are larger by the same share in one direction."""
+    """Return friction with levels and slopes larger by the same share in one direction."""
     direction = smooth_sign(own.v)
     return (1.0 + _skew(rng) * direction) * (direction + own.v / np.abs(own.v).max())
 
 
 @of_joint
 def _stribeck(own: Signals, other: Signals, rng: Generator) -> Array:
-    """Return friction with a dip as 1 / (1 + (v/vs)²), or one that falls like a bell."""
+    """Return friction with a Stribeck dip 1 / (1 + (v/vs)²) or exp(−(v/vs)²)."""
     excess, share, is_bell = rng.uniform(0.6, 1.2), rng.uniform(0.05, 0.2), rng.random() < 0.5
     square = (own.v / (share * np.abs(own.v).max())) ** 2
     dip = np.exp(-square) if is_bell else 1.0 / (1.0 + square)
@@ -228,12 +228,12 @@ def _stribeck(own: Signals, other: Signals, rng: Generator) -> Array:
 
 @of_joint
 def _nonlinear_viscous(own: Signals, other: Signals, rng: Generator) -> Array:
-    """Return a power of the speed that is smooth about zero."""
+    """Return a power of the speed, smooth at zero."""
     return own.v * np.hypot(own.v, 1e-3) ** (rng.uniform(1.6, 2.6) - 1.0)
 
 
 def _belt(seen: Seen, site: Site, size: float) -> Array:
-    """Return dry and viscous friction of a motor that turns with v_i ± v_j."""
+    """Return dry and viscous friction of a motor with the speed v_i ± v_j."""
     sign = site.rng.choice([-1.0, 1.0])
     w = seen.v[:, site.joint] + sign * seen.v[:, site.other]
     torque = size * (smooth_sign(w) + 0.5 * w / np.abs(w).max())
@@ -241,9 +241,9 @@ def _belt(seen: Seen, site: Site, size: float) -> Array:
 
 
 def _coupled_rotor(seen: Seen, site: Site, size: float) -> Array:
-    """Return a rotor that turns with the difference of two joints, [1, −1]ᵀ I (v̇_i − v̇_j).
+    """Return efforts of a rotor with the difference of two speeds, [1, −1]ᵀ I (v̇_i − v̇_j).
 
-    One that turns with the sum is the same as a heavier link where two axes are parallel.
+    A rotor with their sum is equivalent to a heavier link if the axes are parallel.
     """
     torque = size * (seen.a[:, site.joint] - seen.a[:, site.other])
     return seen.at(site.joint, torque) - seen.at(site.other, torque)
@@ -251,53 +251,53 @@ def _coupled_rotor(seen: Seen, site: Site, size: float) -> Array:
 
 @of_joint
 def _warming(own: Signals, other: Signals, rng: Generator) -> Array:
-    """Return friction that falls as 1 / (1 + t / T), to a half at least."""
-    left = 0.5 + 1.0 / (1.0 + own.time / rng.uniform(5.0, 10.0))
-    return left * (smooth_sign(own.v) + 0.7 * own.v)
+    """Return friction that falls to a third as 0.5 + 1 / (1 + t / T)."""
+    factor = 0.5 + 1.0 / (1.0 + own.time / rng.uniform(5.0, 10.0))
+    return factor * (smooth_sign(own.v) + 0.7 * own.v)
 
 
 @of_joint
 def _running_in(own: Signals, other: Signals, rng: Generator) -> Array:
-    """Return friction that falls as 1 / (1 + t / T)³, to nothing."""
-    left = (1.0 + own.time / rng.uniform(5.0, 10.0)) ** -3
-    return left * (smooth_sign(own.v) + 0.7 * own.v)
+    """Return friction that vanishes as 1 / (1 + t / T)³."""
+    factor = (1.0 + own.time / rng.uniform(5.0, 10.0)) ** -3
+    return factor * (smooth_sign(own.v) + 0.7 * own.v)
 
 
 def _late(seen: Seen, site: Site, size: float) -> Array:
-    """Return efforts by interpolation between those of earlier samples."""
+    """Return the change of efforts by a delay, with linear interpolation."""
     columns = [np.interp(seen.time - size, seen.time, u) for u in seen.load.T]
     return np.stack(columns, 1) - seen.load
 
 
 @of_joint
 def _compensator(own: Signals, other: Signals, rng: Generator) -> Array:
-    """Return a spring of zero free length between two cranks: its force times its lever."""
-    at, r, s = rng.uniform(-np.pi, np.pi), 0.05, 0.3
-    length = np.sqrt(r * r + s * s - 2.0 * r * s * np.cos(own.q - at))
-    lever = r * s * np.sin(own.q - at) / length
+    """Return the torque of a spring of zero free length between two cranks."""
+    angle, r, s = rng.uniform(-np.pi, np.pi), 0.05, 0.3
+    length = np.sqrt(r * r + s * s - 2.0 * r * s * np.cos(own.q - angle))
+    lever = r * s * np.sin(own.q - angle) / length
     return length * lever / (r * s)
 
 
 @of_joint
 def _cogging(own: Signals, other: Signals, rng: Generator) -> Array:
-    """Return waves over the position; the motion passes a few of them."""
+    """Return a few waves over the range of positions."""
     waves, phase = rng.uniform(2.5, 12.0), rng.uniform(0.0, 2.0 * np.pi)
     return np.cos(2.0 * np.pi * waves * own.q / np.ptp(own.q) - phase)
 
 
 @of_joint
 def _hysteresis(own: Signals, other: Signals, rng: Generator) -> Array:
-    """Return spring-and-slider elements that begin to slip one after the other (Maxwell slip)."""
+    """Return Maxwell-slip friction: springs with sliders of different strengths."""
     widths = rng.uniform(0.01, 0.03) * np.arange(1, 9)
-    stretch, found = np.zeros(len(widths)), np.zeros(len(own.q))
-    for k in range(1, len(found)):
+    stretch, efforts = np.zeros(len(widths)), np.zeros(len(own.q))
+    for k in range(1, len(efforts)):
         stretch = np.clip(stretch + own.q[k] - own.q[k - 1], -widths, widths)
-        found[k] = np.mean(stretch / widths)
-    return found
+        efforts[k] = np.mean(stretch / widths)
+    return efforts
 
 
 def _payload(seen: Seen, site: Site, size: float) -> Array:
-    """Return a ball that the last link holds; its size is its mass."""
+    """Return efforts of a ball fixed to the last link; the size is its mass."""
     rng, bodies = site.rng, seen.engine.bodies()
     center = np.array([*rng.uniform(-0.05, 0.05, 2), rng.uniform(0.05, 0.15)])
     bodies[site.joint] += size * pseudo(1.0, center, 0.05**2 * np.eye(3))
@@ -305,34 +305,34 @@ def _payload(seen: Seen, site: Site, size: float) -> Array:
 
 
 def _wrong_body(seen: Seen, site: Site, size: float) -> Array:
-    """Return a link unlike that of the file; its size is the distance in the geometric metric."""
-    bodies, own = seen.engine.bodies(), slice(site.joint, site.joint + 1)
-    bodies[own] = congruent(bodies[own], size / np.sqrt(10.0), site.rng)
+    """Return efforts of a perturbed link; the size is the distance in the geometric metric."""
+    bodies, link = seen.engine.bodies(), slice(site.joint, site.joint + 1)
+    bodies[link] = congruent(bodies[link], size / np.sqrt(10.0), site.rng)
     return seen.with_bodies(bodies)
 
 
 def _level(rng: Generator) -> Values:
-    """Return a horizontal axis."""
+    """Draw a horizontal axis."""
     direction = rng.uniform(0.0, 2.0 * np.pi)
     return {"tilt_x": np.cos(direction), "tilt_y": np.sin(direction)}
 
 
 def _tilt(seen: Seen, site: Site, size: float) -> Array:
-    """Return a base turned about a horizontal axis; its size is the angle."""
+    """Return efforts on a base tilted about a horizontal axis; the size is the angle."""
     return seen.tilted(*(size * value for value in _level(site.rng).values()))
 
 
 def _drag(seen: Seen, site: Site, size: float) -> Array:
-    """Return drag at a point of a body, by the engine's Jacobian."""
+    """Return aerodynamic drag at a point of a body."""
     J = seen.engine.frames(site.joint, site.rng.uniform(-0.1, 0.1, 3), seen.q)[0][:, :3]
     v = np.einsum("nij,nj->ni", J, seen.v)
     return size * np.einsum("nij,ni->nj", J, v * np.linalg.norm(v, axis=1)[:, None])
 
 
 def _push(seen: Seen, site: Site, size: float, *, turning: bool = False) -> Array:
-    """Return a push at a point of a body during a few seconds, as of leaning on something soft.
+    """Return efforts of a force at a point of a body for a few seconds, as of a soft contact.
 
-    That of a jet or a tool turns with the body.
+    The force of a jet or a tool rotates with the body.
     """
     rng = site.rng
     point, direction = rng.uniform(-0.1, 0.1, 3), rng.normal(size=3)
@@ -341,12 +341,12 @@ def _push(seen: Seen, site: Site, size: float, *, turning: bool = False) -> Arra
     J, R = seen.engine.frames(site.joint, point, seen.q)
     s = np.clip((seen.time - begin * seen.time[-1]) / length, 0.0, 1.0)
     push = np.minimum(1.0, 4.0 * np.sin(np.pi * s))
-    along = R @ direction if turning else np.broadcast_to(direction, (len(J), 3))
-    return size * push[:, None] * np.einsum("nij,ni->nj", J[:, :3], along)
+    axis = R @ direction if turning else np.broadcast_to(direction, (len(J), 3))
+    return size * push[:, None] * np.einsum("nij,ni->nj", J[:, :3], axis)
 
 
 def _soft_gear(seen: Seen, site: Site, size: float) -> Array:
-    """Return a gear that gives way: the link lags behind the motor by compliance times load."""
+    """Return efforts of an elastic gear: the link lags by compliance times load."""
     load = seen.load[:, site.joint]
     lag = min(size, _SOFTEST / float(np.abs(load).max())) * load
     rate = np.gradient(lag, seen.time)
@@ -354,7 +354,7 @@ def _soft_gear(seen: Seen, site: Site, size: float) -> Array:
 
 
 def _loose_gear(seen: Seen, site: Site, size: float) -> Array:
-    """Return a gear with play: between stiff, damped flanks the link moves by its load alone."""
+    """Return efforts of backlash: the link moves freely between stiff, damped flanks."""
     j, still = site.joint, np.zeros_like(seen.v)
     unit = seen.at(j, np.ones(len(still)))
     weight = seen.engine.efforts(seen.q, still, still)
@@ -363,10 +363,10 @@ def _loose_gear(seen: Seen, site: Site, size: float) -> Array:
 
 
 def _play(load: Array, inertia: Array, *, gap: float, time: Array) -> tuple[Array, Array, Array]:
-    """Return lag (N,) of a link within a gap of half width `gap`, its rate and acceleration.
+    """Return the lag (N,) of a link within a gap of half width `gap`, its rate and acceleration.
 
-    M s̈ = τ − F(s, ṡ), F the force of the flank, by semi-implicit Euler. What sensors see are means
-    over their period.
+    Semi-implicit Euler integrates M s̈ = τ − F(s, ṡ), with the force F of the flank. Sensors
+    measure means over their period.
     """
     period = float(np.median(np.diff(time)))
     stiffness = float(np.abs(load).max()) / (_DENT * gap)
@@ -379,7 +379,7 @@ def _play(load: Array, inertia: Array, *, gap: float, time: Array) -> tuple[Arra
     for k, (pull, mass) in enumerate(zip(pulls.tolist(), masses.tolist(), strict=True)):
         dent = s - gap if s > gap else s + gap if s < -gap else 0.0
         flank = stiffness * dent + damping * rate if dent else 0.0
-        if flank * dent < 0.0:  # a flank does not hold back
+        if flank * dent < 0.0:  # flanks only push
             flank = 0.0
         acceleration = (pull - flank) / mass
         rate += dt * acceleration
@@ -389,10 +389,10 @@ def _play(load: Array, inertia: Array, *, gap: float, time: Array) -> tuple[Arra
     return lag, speed, push
 
 
-def _lagging(seen: Seen, joint: int, *behind: Array) -> Array:
-    """Return the (N, n) change in effort because a link lags behind its motor, and its rates."""
-    ways = (seen.at(joint, each) for each in behind)
-    return seen.more(*(x - way for x, way in zip((seen.q, seen.v, seen.a), ways, strict=False)))
+def _lagging(seen: Seen, joint: int, *lags: Array) -> Array:
+    """Return the change of efforts (N, n) by a link's lag and its derivatives."""
+    shifts = (seen.at(joint, lag) for lag in lags)
+    return seen.more(*(x - dx for x, dx in zip((seen.q, seen.v, seen.a), shifts, strict=False)))
 
 
 _CATALOGUE = (
@@ -448,7 +448,7 @@ _CATALOGUE = (
 TRUTHS = {truth.name: truth for truth in _CATALOGUE}
 """Effects of the catalogue by name."""
 
-# Effects of no catalogue
+# Effects outside the catalogue
 
 OWN, OTHER, ANY, TIME = "own", "other", "any", "time"
 
@@ -466,12 +466,12 @@ def _clock(own: Signals, other: Signals, rng: Generator) -> Array:
 
 
 def _wheel(seen: Seen, site: Site, size: float) -> Array:
-    """Return a wheel that spins in its link, whose turning it resists: τ = Jᵀ (ω × h)."""
+    """Return efforts of a wheel that spins in a link: τ = Jᵀ (ω × h)."""
     axis = site.rng.normal(size=3)
     J, R = seen.engine.frames(site.joint, np.zeros(3), seen.q)
     spin = np.einsum("nij,nj->ni", J[:, 3:], seen.v)
-    along = R @ axis / np.linalg.norm(axis)
-    return size * np.einsum("nij,ni->nj", J[:, 3:], np.cross(spin, along))
+    direction = R @ axis / np.linalg.norm(axis)
+    return size * np.einsum("nij,ni->nj", J[:, 3:], np.cross(spin, direction))
 
 
 @of_joint
@@ -506,11 +506,11 @@ OUTSIDE = {
         ("damper that another joint opens", _damper, (OTHER, "position")),
     )
 }
-"""Those that one joint shows in one log, by name."""
+"""Effects at one joint in one log, by name."""
 
 
 def _cubic_coupling(seen: Seen, site: Site, size: float) -> Array:
-    """Return a spring between two joints of energy x y³."""
+    """Return efforts of a spring between two joints, with energy x y³."""
     x, y = site.place(seen, site.joint), site.place(seen, site.other)
     return size * (seen.at(site.joint, y**3) + seen.at(site.other, 3.0 * x * y**2))
 
@@ -521,16 +521,16 @@ def _growing_friction(seen: Seen, site: Site, size: float) -> Array:
 
 
 def _pendulum(seen: Seen, site: Site, size: float) -> Array:
-    """Return a weight that swings in a link, less the same weight at rest at the hinge.
+    """Return efforts of a weight that swings in a link, less those of the weight at its hinge.
 
-    A weight that hangs quietly pulls at its hinge: what is left is the swing.
+    The difference is due to the swing alone.
     """
     rng = site.rng
     length, damping = rng.uniform(0.05, 0.2), rng.uniform(0.05, 0.3)
     spec = mujoco.MjSpec.from_string(site.known.file.text)
-    axis, at = rng.normal(size=3), rng.uniform(-0.1, 0.1, 3)
+    axis, hinge = rng.normal(size=3), rng.uniform(-0.1, 0.1, 3)
     down = np.cross(axis, rng.normal(size=3))
-    weight = spec.joints[site.joint].parent.add_body(name="weight", pos=at)
+    weight = spec.joints[site.joint].parent.add_body(name="weight", pos=hinge)
     weight.mass, weight.ipos = 1.0, length * down / np.linalg.norm(down)
     weight.inertia, weight.explicitinertial = np.full(3, 1e-4), True
     weight.add_joint(name="swing", type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
@@ -543,60 +543,60 @@ def _pendulum(seen: Seen, site: Site, size: float) -> Array:
 
     def needed(motion: Array, swing: tuple[float, float, float]) -> Array:
         signals = (data.qpos, data.qvel, data.qacc)
-        for signal, values, own in zip(signals, motion, swing, strict=True):
-            signal[arm], signal[free] = values, own
+        for signal, values, value in zip(signals, motion, swing, strict=True):
+            signal[arm], signal[free] = values, value
         mujoco.mj_inverse(model, data)
         return data.qfrc_inverse.copy()
 
     period = float(np.median(np.diff(seen.time)))
     steps = int(np.ceil(period / _FINE))
-    found, angle, rate = np.zeros_like(seen.q), 0.0, 0.0
+    efforts, angle, rate = np.zeros_like(seen.q), 0.0, 0.0
     motion = np.stack([seen.q, seen.v, seen.a], 1)
-    ahead = np.concatenate([motion[1:], motion[-1:]])
-    for k in range(len(found)):
+    following = np.concatenate([motion[1:], motion[-1:]])
+    for k in range(len(efforts)):
         for i in range(steps):
             part = i / steps
-            between = (1.0 - part) * motion[k] + part * ahead[k]
-            bend = -(drag * rate + needed(between, (angle, rate, 0.0))[free]) / inertia
+            between = (1.0 - part) * motion[k] + part * following[k]
+            acceleration = -(drag * rate + needed(between, (angle, rate, 0.0))[free]) / inertia
             if i == 0:
-                found[k] = needed(motion[k], (angle, rate, bend))[arm]
-            rate += bend * period / steps
+                efforts[k] = needed(motion[k], (angle, rate, acceleration))[arm]
+            rate += acceleration * period / steps
             angle += rate * period / steps
     bodies = seen.engine.bodies()
-    bodies[site.joint] += pseudo(1.0, at, 1e-4 * np.eye(3))
-    return size * (found - seen.load - seen.with_bodies(bodies))
+    bodies[site.joint] += pseudo(1.0, hinge, 1e-4 * np.eye(3))
+    return size * (efforts - seen.load - seen.with_bodies(bodies))
 
 
 def _saturation(seen: Seen, site: Site, size: float) -> Array:
-    """Return what a drive commands more and its motor does not give, at high speed under load."""
-    edge, own = site.rng.uniform(0.5, 0.8), seen.joint(site.joint)
-    used = np.abs(own.v) / site.known.speed[site.joint]
-    used += np.abs(own.load) / site.known.load[site.joint]
-    beyond = np.logaddexp(0.0, (used - edge) / 0.05)
-    return seen.at(site.joint, size * np.sign(own.load) * beyond * np.abs(own.load))
+    """Return the difference of commanded and actual efforts of a motor that saturates."""
+    edge, signals = site.rng.uniform(0.5, 0.8), seen.joint(site.joint)
+    utilization = np.abs(signals.v) / site.known.speed[site.joint]
+    utilization += np.abs(signals.load) / site.known.load[site.joint]
+    excess = np.logaddexp(0.0, (utilization - edge) / 0.05)
+    return seen.at(site.joint, size * np.sign(signals.load) * excess * np.abs(signals.load))
 
 
 def _taut_hose(seen: Seen, site: Site, size: float) -> Array:
-    """Return a hose on the difference of two angles, which pulls only when it is taut."""
+    """Return efforts of a hose that is taut for large differences of two angles."""
     stretch = site.place(seen, site.joint) - site.place(seen, site.other)
     pull = size * 0.05 * np.logaddexp(0.0, (stretch - site.rng.uniform(0.1, 0.5)) / 0.05)
     return seen.at(site.joint, pull) - seen.at(site.other, pull)
 
 
 def _slipping_belt(seen: Seen, site: Site, size: float) -> Array:
-    """Return a link that falls behind its motor by a little more each time the load is high."""
+    """Return efforts of a belt that slips a little at each high load."""
     load = seen.load[:, site.joint]
-    over = np.abs(load) / site.known.load[site.joint] - site.rng.uniform(0.4, 0.7)
-    rate = size * np.maximum(over, 0.0) * np.sign(load)
+    excess = np.abs(load) / site.known.load[site.joint] - site.rng.uniform(0.4, 0.7)
+    rate = size * np.maximum(excess, 0.0) * np.sign(load)
     return _lagging(seen, site.joint, np.cumsum(rate * np.gradient(seen.time)), rate, 0.0 * rate)
 
 
 def _cable_drag(seen: Seen, site: Site, size: float) -> Array:
-    """Return a cable that drags in one direction only, in some postures more."""
-    going = 0.5 * (1.0 + smooth_sign(seen.v[:, site.joint]))
+    """Return efforts of a cable that drags in one direction, depending on the posture."""
+    is_forward = 0.5 * (1.0 + smooth_sign(seen.v[:, site.joint]))
     phase = site.rng.uniform(0.0, 2.0 * np.pi)
     posture = np.cos(2.5 * site.place(seen, site.joint) - phase)
-    return seen.at(site.joint, size * going * posture)
+    return seen.at(site.joint, size * is_forward * posture)
 
 
 def _eccentric_gear(seen: Seen, site: Site, size: float) -> Array:
@@ -635,7 +635,7 @@ OF_ALL_MOTIONS = {
         ("square of another joint's speed", _neighbours_square, {}),
     )
 }
-"""Those that are sized by all motions of a robot, by name."""
+"""Effects scaled by all motions of a robot, by name."""
 
 
 HARD: Mapping[str, tuple[Truth, Mapping[str, object]]] = {
@@ -647,10 +647,10 @@ HARD: Mapping[str, tuple[Truth, Mapping[str, object]]] = {
     "delay in slow motion, coloured noise": (TRUTHS[LATE], {"motion": SLOW, "colour": COLOURED}),
     "tilt": (TRUTHS["gravity_tilt"], {}),
 }
-"""Kinds that other engines' logs showed to be hard, each with what of the draws is given."""
+"""Effects that proved hard in logs of other engines, each with fixed settings of the draws."""
 
 
 def truth_of(name: str) -> Truth:
-    """Return what is hidden by a name of any of the tables."""
+    """Return the truth of a name in any of the tables."""
     hard = {kind: truth for kind, (truth, _) in HARD.items()}
     return {**TRUTHS, **OUTSIDE, **OF_ALL_MOTIONS, **hard}[name]
