@@ -1,11 +1,11 @@
 """Readers of joint logs and of data frames, and their writer, as CSV and NPZ.
 
 The columns are `time` and, for each joint, `<joint>.position`, `<joint>.effort` and, if measured,
-`<joint>.velocity` and `<joint>.acceleration`: the words of ROS JointState, in SI units. In the
-place of efforts there may be `<joint>.current`, `.voltage`, `.pwm` (a share of the supply's
-voltage, or of another largest value) or `.command`, the position that a servo was told to go to.
-What follows the last dot is the quantity, so joint names may contain dots. Columns of other names
-are understood by `name_rules`, or by what the user says of them, a `Reading`.
+`<joint>.velocity` and `<joint>.acceleration`: the terms of ROS JointState, in SI units. Efforts
+may be replaced by `<joint>.current`, `.voltage`, `.pwm` (a fraction of the supply voltage or
+another maximum) or `.command`, the commanded position of a servo. The quantity follows the last
+dot, so joint names may contain dots. Other column names are parsed by `name_rules`, or assigned by
+the user with a `Reading`.
 """
 
 from __future__ import annotations
@@ -70,16 +70,16 @@ def read_log(
 
     Args:
         path: A file or folder of any of the `formats`; several files with `+` between them, as in
-            `positions.csv+efforts.csv`, are joined by time. Columns may come in any order;
-            their names say what they are, and unknown ones are noted. Empty cells become NaN.
-        joints: Names of a model's joints, if the log must have the same and in their order.
-        partial: Whether it may lack some of these joints, or their efforts alone: joints that stand
-            still then are `JointLog.standing`.
-        reading: How the file is to be read, where its names do not say it.
+            `positions.csv+efforts.csv`, are joined by time. Columns are identified by their
+            names, in any order, and unknown ones are noted. Empty cells become NaN.
+        joints: Joints of a model, if the log must have the same ones; sets their order.
+        partial: Whether the log may lack some of these joints, or only their efforts: joints at
+            rest are then in `JointLog.standing`.
+        reading: Options where column names are not sufficient.
 
     Raises:
-        LogError: The file cannot be read or understood, or its time does not increase. Where names
-            are not understood, `evidence["proposal"]` is the text of a mapping to be edited.
+        LogError: The file cannot be read or interpreted, or its time does not increase. If names
+            are not recognized, `evidence["proposal"]` is the text of a mapping to edit.
     """
     return understand(path, joints=joints, partial=partial, reading=reading)[0]
 
@@ -91,7 +91,7 @@ def understand(
     partial: bool = False,
     reading: Reading | None = None,
 ) -> tuple[JointLog, Columns]:
-    """Return a log, and the meaning of its columns; see `read_log`."""
+    """Return a log and its columns; see `read_log`."""
     path = file_path(path)
     joints = None if joints is None else instances(joints, "joints", str)
     reading = Reading() if reading is None else instance(reading, "reading", Reading)
@@ -120,7 +120,7 @@ def understand(
 def log_of(
     table: LogTable, joints: Sequence[str] | None, reading: Reading, *, partial: bool = False
 ) -> tuple[JointLog, Columns]:
-    """Return the log in a table, and the meaning of its columns; see `read_log`."""
+    """Return the log in a table and its columns; see `read_log`."""
     table, given = regrouped(table, reading), reading
     _check_silent(table, reading, joints)
     while True:
@@ -130,8 +130,8 @@ def log_of(
             break
         reading = replace(reading, ignored=reading.ignored | useless)
     notes = [*table.notes, *log.notes]
-    if lost := reading.ignored - given.ignored:
-        notes.append(f"columns {listed(sorted(lost))} do not describe efforts, and are not used")
+    if unused := reading.ignored - given.ignored:
+        notes.append(f"columns {listed(sorted(unused))} do not describe efforts, and are not used")
     return replace(log, notes=tuple(notes), motors=reading.motors_of(log.joints)), columns
 
 
@@ -141,11 +141,11 @@ _ADVICE = {
     "has lists": "Write lists of equal length, or null in rows that lack some.",
     "": "Use numbers, or for time dates such as 2026-05-01T12:00:00.25Z.",
 }
-"""Beginning of the reason why a column has no numbers -> what to do."""
+"""Beginning of the reason why a column has no numbers -> advice."""
 
 
 def _check_silent(table: LogTable, reading: Reading, joints: Sequence[str] | None) -> None:
-    """Raise if used columns have no numbers, which would otherwise only be missing."""
+    """Raise if needed columns have no numbers, rather than report them as missing."""
     needed = {mapped.among(table.counted) for _, mapped in reading.mapping or ()}
     if reading.mapping is None:
         rare = {name for name, words in table.silent.items() if words.startswith(RARE)}
@@ -153,8 +153,8 @@ def _check_silent(table: LogTable, reading: Reading, joints: Sequence[str] | Non
         needed = {n for n in table.silent if is_used(n) and n != "time"} - rare
         if reading.rate is None and not any(map(table.is_time, table.names)):
             needed |= {name for name in table.silent if is_time(name)}
-        heard = {m.log_quantity.replace("command", "effort") for m in meanings_of(table.columns)}
-        missing = {"position", "effort"}.difference(heard)
+        present = {m.log_quantity.replace("command", "effort") for m in meanings_of(table.columns)}
+        missing = {"position", "effort"}.difference(present)
         needed |= {m.column for m in meanings_of(table.silent) if m.log_quantity in missing}
     for name, words in table.silent.items():
         if name in needed:
@@ -178,12 +178,11 @@ def log_of_frame(
             of names to arrays. Columns are `time` (numbers, durations or dates),
             `<joint>.position`, `<joint>.effort` (or `.current`, `.voltage`, `.pwm`, `.command`) and
             perhaps `<joint>.velocity` and `<joint>.temperature`; or `position`, `effort` … (N, n),
-            with the joints in order.
-            Without `time`, the index of a pandas frame is the time, if it is one of dates,
-            durations or seconds.
-        joints: Names of a model's joints, if the log must have the same and in their order.
-        name: What messages call the log.
-        reading: How columns are to be read, where their names do not say it.
+            with the joints in order. Without `time`, a pandas index of dates, durations or seconds
+            is used.
+        joints: Joints of a model, if the log must have the same ones; sets their order.
+        name: Name of the log in messages.
+        reading: Options where column names are not sufficient.
 
     """
     instance(name, "name", str)
@@ -194,14 +193,14 @@ def log_of_frame(
         arrays = _frame_arrays(frame, name)
     rows = max((len(values) for values in arrays.values() if np.ndim(values)), default=0)
     index: Any = getattr(frame, "index", None)
-    if getattr(getattr(index, "dtype", None), "kind", "") in ("M", "m", "f"):  # no count of rows
+    if getattr(getattr(index, "dtype", None), "kind", "") in ("M", "m", "f"):  # not row numbers
         arrays.setdefault("time", index.to_numpy())
     table = numeric_table(Path(name), arrays, rows)
     return log_of(table, joints, reading)[0]
 
 
-def _frame_arrays(frame: Any, called: str) -> dict[str, Any]:
-    """Return columns by their names from any container; a lazy polars frame is collected."""
+def _frame_arrays(frame: Any, title: str) -> dict[str, Any]:
+    """Return name -> column of any container; a lazy polars frame is collected."""
     if hasattr(frame, "collect_schema") and hasattr(frame, "collect"):
         frame = frame.collect()
     kinds = (frame, "column_names"), (frame, "columns"), (getattr(frame, "dtype", None), "names")
@@ -212,15 +211,15 @@ def _frame_arrays(frame: Any, called: str) -> dict[str, Any]:
             f"A frame must have named columns; got {type(frame).__name__}.",
             advice="Pass a DataFrame, or a dict of arrays with time, position and effort.",
         )
-    check_once(Path(called), [str(name) for name in names])
+    check_once(Path(title), [str(name) for name in names])
     columns = {str(name): frame[name] for name in names}
-    return {  # a mask says where nothing was measured
+    return {  # keeps masks of missing values
         name: column.to_numpy() if hasattr(column, "to_numpy") else np.asanyarray(column)
         for name, column in columns.items()
     }
 
 
-_ROWS = 50_000  # that are written at once
+_ROWS = 50_000  # rows written at once
 
 
 def write_log(log: JointLog, path: str | Path) -> None:
@@ -248,7 +247,7 @@ def log_content(log: JointLog, path: str | Path) -> Content:
 def _write_csv(file: BinaryIO, columns: Mapping[str, Array]) -> None:
     text = io.TextIOWrapper(file, encoding="utf-8", errors="backslashreplace", newline="")
     writer = csv.writer(text, lineterminator="\n")
-    if any("\r" in name for name in columns):  # readers take it for a line end if it is bare
+    if any("\r" in name for name in columns):  # an unquoted one is read as a line break
         csv.writer(text, lineterminator="\n", quoting=csv.QUOTE_ALL).writerow(columns)
     else:
         writer.writerow(columns)
@@ -256,4 +255,4 @@ def _write_csv(file: BinaryIO, columns: Mapping[str, Array]) -> None:
     for first in range(0, count, _ROWS):
         rows = [numbers[first : first + _ROWS] for numbers in columns.values()]
         writer.writerows(np.column_stack(rows).tolist())
-    text.detach()  # which flushes it, and leaves the file open
+    text.detach()  # flushes the text and leaves the file open

@@ -1,4 +1,4 @@
-"""Logs in files of arrays: JSON, MATLAB's, HDF5, Parquet, LeRobot's, Feather, NPY and NPZ."""
+"""Logs in files of arrays: JSON, YAML, MATLAB, HDF5, Parquet, LeRobot, Feather, NPY and NPZ."""
 
 from __future__ import annotations
 
@@ -64,8 +64,8 @@ from geodrake.logs.files.text_file import renamed
 from geodrake.logs.files.topics import messages_table
 
 _LINES = (".jsonl", ".ndjson")
-_JSON_SHARE = 0.05  # of the memory, for its text: what it becomes takes many times as much
-_SHOWN = 40  # letters of what is cut off
+_JSON_SHARE = 0.05  # fraction of the memory for text, as parsed content is far larger
+_SHOWN = 40  # characters of a truncated record in messages
 _BEGINNING, _NO_RECORDS = 1000, re.compile(rb"(\xef\xbb\xbf)?\s*\[\s*[^\s{\]]")
 _JSON_ADVICE = (
     'Write {"time": [...], "joint.position": [...], ...}, or a record of these in each line.'
@@ -73,47 +73,47 @@ _JSON_ADVICE = (
 
 
 def read_json(path: Path, reading: Reading) -> LogTable:
-    """Return the columns of a JSON file: fields of records by their paths, as in `state.q[0]`."""
+    """Read a JSON file; fields of records are named by paths such as `state.q[0]`."""
     with readable(path, "JSON file", _JSON_ADVICE):
         with open_log(path) as file:
             if _NO_RECORDS.match(file.read(_BEGINNING)):
                 raise neither(path, _JSON_ADVICE)
-        text = _whole(path, "JSON").decode("utf-8-sig")
+        text = _text_of(path, "JSON").decode("utf-8-sig")
         values, rest = _json_values(text)
         if len(values) < 2 and rest:
-            json.loads(text)  # which tells what is wrong
-        is_one = len(values) == 1 and unpacked(path).suffix.lower() not in _LINES
-        content = _of_rows(path, values[0]) if is_one else values
-        if len(text) > _LONG and reading.mapping is None:  # others get a draft of a mapping
-            _check_told(path, content, _JSON_ADVICE)
+            json.loads(text)  # raises with the position of the error
+        is_single = len(values) == 1 and unpacked(path).suffix.lower() not in _LINES
+        content = _frame_rows(path, values[0]) if is_single else values
+        if len(text) > _LONG and reading.mapping is None:  # shorter files get a proposed mapping
+            _check_recognized(path, content, _JSON_ADVICE)
         table = messages_table(path, content, reading)
         table = table or content_table(path, content, reading, _JSON_ADVICE)
-        cut = f"the last record is cut off and not used: {rest[:_SHOWN]!r}"
-        return table.noting(*[cut] * bool(rest))
+        note = f"the last record is cut off and not used: {rest[:_SHOWN]!r}"
+        return table.noting(*[note] * bool(rest))
 
 
 def _json_values(text: str) -> tuple[list[Any], str]:
-    """Return the values that follow each other in a text, as in lines, and what is cut off."""
+    """Return the consecutive values in a text, such as lines, and the truncated last one."""
     if '"0":' not in text:
-        with suppress(msgspec.DecodeError):  # of several values, NaN, or what is wrong
+        with suppress(msgspec.DecodeError):  # several values, NaN or errors
             return [msgspec.json.decode(text)], ""
-    values, at, blank = list[Any](), 0, re.compile(r"\s*")
-    decoder = json.JSONDecoder(object_hook=_counted)
-    while (at := blank.match(text, at).end()) < len(text):  # type: ignore[union-attr]
+    values, index, blank = list[Any](), 0, re.compile(r"\s*")
+    decoder = json.JSONDecoder(object_hook=_as_list)
+    while (index := blank.match(text, index).end()) < len(text):  # type: ignore[union-attr]
         try:
-            value, at = decoder.raw_decode(text, at)
+            value, index = decoder.raw_decode(text, index)
         except json.JSONDecodeError:
-            if "\n" in text[at:].strip():
+            if "\n" in text[index:].strip():
                 raise
-            return values, text[at:].strip()
+            return values, text[index:].strip()
         values.append(value)
     return values, ""
 
 
-def _counted(content: dict[str, Any]) -> Any:
-    """Return values with the keys 0, 1, … as a list, as JavaScript writes typed arrays.
+def _as_list(content: dict[str, Any]) -> Any:
+    """Convert scalars with the keys 0, 1, …, JavaScript's typed arrays, to a list.
 
-    Objects and lists stay as they are: their keys may be numbers of motors, or of recordings.
+    Keys of objects and lists may be numbers of motors or recordings instead.
     """
     is_counted = "0" in content and [*content] == [*map(str, range(len(content)))]
     if not is_counted or any(isinstance(value, dict | list) for value in content.values()):
@@ -122,25 +122,25 @@ def _counted(content: dict[str, Any]) -> Any:
 
 
 def read_yaml(path: Path, reading: Reading) -> LogTable:
-    """Return the columns of YAML, as of JSON; its documents may be messages of ROS's echo."""
+    """Read YAML like JSON; its documents may be messages from ROS's `topic echo`."""
     model = "Is it the model? `geodrake log` takes that with --model."
     advice = f"Is it cut off? Remove the last message. {model}"
     with readable(path, "YAML file", advice):
-        text = _whole(path, "YAML")
-        whole = text.rpartition(b"\n---")[0] or text  # the last message may be cut off
-        content, *more = yaml.load_all(whole, yaml.CSafeLoader)
+        text = _text_of(path, "YAML")
+        complete = text.rpartition(b"\n---")[0] or text  # drop a truncated message
+        content, *more = yaml.load_all(complete, yaml.CSafeLoader)
         documents = [each for each in (content, *more) if isinstance(each, Mapping)]
-        _check_told(path, documents or content, model)
+        _check_recognized(path, documents or content, model)
         table = messages_table(path, documents, reading)
         return table or content_table(path, documents if more else content, reading, advice)
 
 
-_LONG = 1_000_000  # letters of JSON
-_FIRST = 3000  # fields
+_LONG = 1_000_000  # characters of JSON above which fields are checked first
+_FIRST = 3000  # fields checked
 
 
-def _check_told(path: Path, content: Any, advice: str) -> None:
-    """Raise for content whose first fields are neither of joints nor of time."""
+def _check_recognized(path: Path, content: Any, advice: str) -> None:
+    """Raise if none of the first fields belongs to joints or time."""
     fields = fields_of({"log": content}, lists=True)
     inside = (re.sub(r"\[\d+\]", "", name) for name, _ in fields)
     names = islice(chain(content if isinstance(content, Mapping) else (), inside), _FIRST)
@@ -152,91 +152,91 @@ _OF_MESSAGE = re.compile(r'(\w+)\s*(?::\s*("(?:[^"\\]|\\.)*"|[^\s{}"]+)|:?\s*\{)
 
 
 def read_gazebo(path: Path, reading: Reading) -> LogTable:
-    """Return the columns of Gazebo's `gz topic --echo`: messages in protobuf's format of text.
+    """Read the output of Gazebo's `gz topic --echo`, messages in protobuf's text format.
 
-    Each message starts with the same field as the first. Zeros are missing in it, and put back.
+    Each message starts with the same field as the first. Zeros, which protobuf omits, are restored.
     """
-    messages, inside = list[dict[str, Any]](), list[dict[str, Any]]()
-    for found in _OF_MESSAGE.finditer(_whole(path, "text").decode()):
-        name, value = found.groups()
+    messages, stack = list[dict[str, Any]](), list[dict[str, Any]]()
+    for match in _OF_MESSAGE.finditer(_text_of(path, "text").decode()):
+        name, value = match.groups()
         if name is None:
-            inside = inside[:-1]
+            stack = stack[:-1]
             continue
-        if not messages or (not inside and name == next(iter(messages[0]))):
+        if not messages or (not stack and name == next(iter(messages[0]))):
             messages.append({})
         field: Any = {} if value is None else value.strip('"')
-        (inside[-1] if inside else messages[-1]).setdefault(name, []).append(field)
-        inside += [field] if value is None else []
+        (stack[-1] if stack else messages[-1]).setdefault(name, []).append(field)
+        stack += [field] if value is None else []
     records = [dict(fields_of(_unlisted(each), lists=True)) for each in messages]
     zeros = {n: 0.0 for each in records for n, x in each.items() if number_in(x) is not None}
     return records_table(path, [zeros | each for each in records])
 
 
 def _unlisted(fields: Mapping[str, list[Any]]) -> dict[str, Any]:
-    """Return the fields of a message, without lists of those that come once."""
-    each = {n: [_unlisted(x) if isinstance(x, dict) else x for x in f] for n, f in fields.items()}
-    return {name: found[0] if len(found) == 1 else found for name, found in each.items()}
+    """Return the fields of a message, with lists of one item replaced by the item."""
+    lists = {n: [_unlisted(x) if isinstance(x, dict) else x for x in f] for n, f in fields.items()}
+    return {name: found[0] if len(found) == 1 else found for name, found in lists.items()}
 
 
-_MOST_OF_RANGE = 1e8  # numbers, which no log has
+_MOST_OF_RANGE = 1e8  # most numbers of a range
 
 
 def read_octave(path: Path, reading: Reading) -> LogTable:
-    """Return the columns of the matrices that Octave's `save` writes as text, by their names."""
-    found = dict[str, Any]()
-    for part in _whole(path, "text").decode().split("# name: ")[1:]:
+    """Read the matrices in a text file of Octave's `save`."""
+    variables = dict[str, Any]()
+    for part in _text_of(path, "text").decode().split("# name: ")[1:]:
         name, *lines = part.splitlines()
         rows = [line.split() for line in lines if line.strip() and not line.startswith("#")]
         rows = [["nan" if cell == "NA" else cell for cell in row] for row in rows]
-        with suppress(ValueError):  # of texts, and of structs, whose fields have their own names
+        with suppress(ValueError):  # texts, and structs, whose fields follow by name
             numbers = np.squeeze(np.array(rows, float))
             if any(line.startswith("# type:") and line.endswith("range") for line in lines):
-                begin, end, step = numbers  # as of `0:0.01:10`
+                begin, end, step = numbers  # such as `0:0.01:10`
                 if not 0.0 <= (end - begin) * step < step**2 * _MOST_OF_RANGE:
                     continue
                 count = 1 + int((end - begin) / step * (1.0 + 1e-12))
                 numbers = begin + step * np.arange(count)
-            found[name.strip()] = numbers if numbers.ndim else float(numbers)
-    return content_table(path, found, reading)
+            variables[name.strip()] = numbers if numbers.ndim else float(numbers)
+    return content_table(path, variables, reading)
 
 
 def read_rsi(path: Path, reading: Reading) -> LogTable:
-    """Return the columns of messages of a KUKA's robot sensor interface (RSI), as XML."""
+    """Read XML messages of KUKA's robot sensor interface (RSI)."""
     with readable(path, "XML of a robot", "Remove a last element that is cut off."):
-        root = ElementTree.fromstring(b"<log>" + _whole(path, "XML") + b"</log>")
-    return records_table(path, [_of_element(element) for element in root])
+        root = ElementTree.fromstring(b"<log>" + _text_of(path, "XML") + b"</log>")
+    return records_table(path, [_element_fields(element) for element in root])
 
 
-def _of_element(element: ElementTree.Element) -> dict[str, Any]:
-    """Return the attributes of an element, its children and numbers in them."""
-    children = {child.tag: _of_element(child) or child.text for child in element}
+def _element_fields(element: ElementTree.Element) -> dict[str, Any]:
+    """Return the attributes and children of an element."""
+    children = {child.tag: _element_fields(child) or child.text for child in element}
     return {**element.attrib, **children}
 
 
-def _whole(path: Path, kind: str) -> bytes:
-    """Return the text of a file, if there is enough memory for its much larger content."""
+def _text_of(path: Path, kind: str) -> bytes:
+    """Return the text of a file, if the memory is sufficient for the parsed content."""
     with open_log(path) as file:
-        text = file.read(1 + int(_JSON_SHARE * machine_memory()))  # of what may be packed well
+        text = file.read(1 + int(_JSON_SHARE * machine_memory()))  # may be compressed
     check_room(path, int(len(text) / (8.0 * _JSON_SHARE)), f"{len(text) / 1e9:.3g} GB of {kind}")
     return text
 
 
-def _of_rows(path: Path, content: Any) -> Any:
-    """Return the columns of a data frame that was written as JSON, or of names above rows."""
+def _frame_rows(path: Path, content: Any) -> Any:
+    """Return records if content is a data frame in JSON, or names above rows."""
     if not isinstance(content, Mapping):
         return content
     lists = [x for x in content.values() if isinstance(x, list) and x]
     if {"columns", "data"} <= content.keys() <= {"columns", "index", "data"}:
-        return _under_names(path, content["columns"], content["data"])
+        return _named_rows(path, content["columns"], content["data"])
     if len(lists) == 2 and all(isinstance(name, str) and meaning_of(name) for name in lists[0]):
         names, rows = lists
         if all(isinstance(row, list) for row in rows) and len(rows[0]) == len(names):
-            return _under_names(path, names, rows)
+            return _named_rows(path, names, rows)
     return content
 
 
-def _under_names(path: Path, names: Sequence[Any], rows: Sequence[Any]) -> list[dict[str, Any]]:
-    """Return rows of values as records, by the names of their columns."""
+def _named_rows(path: Path, names: Sequence[Any], rows: Sequence[Any]) -> list[dict[str, Any]]:
+    """Convert rows of values to records."""
     for k, row in enumerate(rows, 1):
         if not isinstance(row, list) or len(row) != len(names):
             has = f"is {str(row)[:_SHOWN]!r}, not a list"
@@ -245,22 +245,22 @@ def _under_names(path: Path, names: Sequence[Any], rows: Sequence[Any]) -> list[
                 f"Row {k} of log {str(path)!r} {has}, but there are {len(names)} names of columns.",
                 advice="Write a list of as many values. Is the recording truncated?",
             )
-    called = [".".join(map(str, n)) if isinstance(n, list) else str(n) for n in names]
-    return [dict(zip(called, row, strict=True)) for row in rows]
+    fields = [".".join(map(str, n)) if isinstance(n, list) else str(n) for n in names]
+    return [dict(zip(fields, row, strict=True)) for row in rows]
 
 
 _DEEPEST = 30
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-_HDF5_WITHIN = 520  # bytes, as MATLAB puts a header of its own before
+_HDF5_WITHIN = 520  # bytes that include MATLAB's own header before it
 _MAT_ADVICE = "Save arrays or structs of them: save('log.mat', 'time', 'q', 'tau', '-v7')."
 
 
 def read_mat(path: Path, reading: Reading) -> LogTable:
-    """Return the columns of a MATLAB file; see `read_bag` for arguments."""
+    """Read a MATLAB file."""
     with readable(path, "MATLAB file", _MAT_ADVICE):
         with open_regular(path, "log", LogError) as file:
             is_hdf5 = _HDF5 in file.read(_HDF5_WITHIN)
-        variables = _of_hdf5(path, reading) if is_hdf5 else loadmat(path, simplify_cells=True)
+        variables = _objects(path, reading) if is_hdf5 else loadmat(path, simplify_cells=True)
         own = {name: value for name, value in variables.items() if not name.startswith(("__", "#"))}
         table = content_table(path, own, reading)
     if not table.columns:
@@ -272,14 +272,14 @@ def read_mat(path: Path, reading: Reading) -> LogTable:
 
 
 def read_hdf5(path: Path, reading: Reading) -> LogTable:
-    """Return the arrays of an HDF5 file by their paths; images and the like are left out."""
+    """Read the arrays of an HDF5 file by path, without images and the like."""
     with readable(path, "HDF5 file"):
-        content = _of_hdf5(path, reading, matlab=False)
-        return content_table(path, {n: _of_frame(path, x) for n, x in content.items()}, reading)
+        content = _objects(path, reading, matlab=False)
+        return content_table(path, {n: _frame(path, x) for n, x in content.items()}, reading)
 
 
-def _of_frame(path: Path, group: Any) -> Any:
-    """Return the columns of a data frame that pandas wrote to a group; others as they are."""
+def _frame(path: Path, group: Any) -> Any:
+    """Return the columns of a data frame written by pandas; leave other groups unchanged."""
     if not isinstance(group, Mapping):
         return group
     if any(name.startswith("values_block") for name in group.get("table", ())):
@@ -290,21 +290,21 @@ def _of_frame(path: Path, group: Any) -> Any:
         )
     blocks = [name.removesuffix("_values") for name in group if re.match(r"block\d+_values", name)]
     index = group.get("axis1")
-    found = {"time": index} if blocks and np.asarray(index).dtype.kind == "f" else {}
+    columns = {"time": index} if blocks and np.asarray(index).dtype.kind == "f" else {}
     for block in blocks:
         names = (name.decode() for name in group[f"{block}_items"])
-        found |= dict(zip(names, group[f"{block}_values"].T, strict=True))
-    return found or group
+        columns |= dict(zip(names, group[f"{block}_values"].T, strict=True))
+    return columns or group
 
 
-def _of_hdf5(path: Path, reading: Reading, *, matlab: bool = True) -> dict[str, Any]:
-    """Return the arrays of a file, each object once, however many links lead to it.
+def _objects(path: Path, reading: Reading, *, matlab: bool = True) -> dict[str, Any]:
+    """Read the arrays of a file, each object once regardless of links to it.
 
-    Of other episodes than the chosen one only the group is there. Of very many arrays only those
-    that a mapping names are read, and those of time.
+    The groups of episodes other than the chosen one are empty. In files with very many arrays,
+    only time and the arrays in a mapping are read.
     """
-    what = "MATLAB files of version 7.3 (or save them with -v7)" if matlab else "HDF5 files"
-    h5py = optional_package("h5py", "logs", what, LogError)
+    purpose = "MATLAB files of version 7.3 (or save them with -v7)" if matlab else "HDF5 files"
+    h5py = optional_package("h5py", "logs", purpose, LogError)
     names: list[str] = []
 
     def take(name: str) -> bool | None:
@@ -319,11 +319,11 @@ def _of_hdf5(path: Path, reading: Reading, *, matlab: bool = True) -> dict[str, 
                 f"Log {str(path)!r} has structs nested more than {_DEEPEST} deep.",
                 advice=_MAT_ADVICE,
             )
-        found = {name: file[name] for name in names}
-        told = [(f"{k}/{n}", x) for k, v in found.items() for n, x in _attributes(v)]
-        datasets = {n: v for n, v in found.items() if isinstance(v, h5py.Dataset)}
-        told += _attributes(file)
-        told += [(n, np.ravel(v[()])[0]) for n, v in datasets.items() if v.size == 1]
+        objects = {name: file[name] for name in names}
+        attributes = [(f"{k}/{n}", x) for k, v in objects.items() for n, x in _attributes(v)]
+        datasets = {n: v for n, v in objects.items() if isinstance(v, h5py.Dataset)}
+        attributes += _attributes(file)
+        attributes += [(n, np.ravel(v[()])[0]) for n, v in datasets.items() if v.size == 1]
         arrays = {n: v for n, v in datasets.items() if matlab or _may_be_log(n, v.shape)}
         arrays = {n: v for n, v in arrays.items() if v.shape}
         mapped = [each.column for _, each in reading.mapping or ()] or [0]
@@ -336,19 +336,19 @@ def _of_hdf5(path: Path, reading: Reading, *, matlab: bool = True) -> dict[str, 
             }
         size = sum(value.size for value in wanted.values())
         check_room(path, size, f"{size} numbers")
-        groups = {n for n in found if not is_of_episode(n.split("/"), reading)} - datasets.keys()
-        for name in [n for n in found if n in arrays or n in groups]:
+        groups = {n for n in objects if not is_of_episode(n.split("/"), reading)} - datasets.keys()
+        for name in [n for n in objects if n in arrays or n in groups]:
             array = _array(wanted[name], matlab=matlab) if name in wanted else None
             _put(variables, name, {} if name in groups else array)
-    for name, value in told:
-        said = value.decode(errors="replace") if isinstance(value, bytes) else value
-        if describes_columns(name, said):
-            _put(variables, name, said)
+    for name, value in attributes:
+        text = value.decode(errors="replace") if isinstance(value, bytes) else value
+        if describes_columns(name, text):
+            _put(variables, name, text)
     return variables
 
 
 def _put(variables: dict[str, Any], name: str, value: Any) -> None:
-    """Put a value at its path in nested tables; an attribute of an array goes beside the array."""
+    """Store a value at its path in nested dicts; attributes of an array are stored beside it."""
     *structs, last = name.split("/")
     for k, struct in enumerate(structs):
         inside = variables.setdefault(struct, {})
@@ -360,7 +360,7 @@ def _put(variables: dict[str, Any], name: str, value: Any) -> None:
 
 
 def _array(dataset: Any, *, matlab: bool) -> Any:
-    """Return the numbers of a dataset, columns first if MATLAB wrote it; None for its texts."""
+    """Return the values of a dataset, transposed if MATLAB wrote it; None for MATLAB's texts."""
     if dataset.attrs.get("MATLAB_class", b"double") in (b"char", b"cell"):
         return None
     if names := dataset.dtype.names:
@@ -369,17 +369,17 @@ def _array(dataset: Any, *, matlab: bool) -> Any:
 
 
 def _attributes(group: Any) -> list[tuple[str, Any]]:
-    """Return attributes of a group, and the content of JSON texts among them, as in robomimic."""
-    found = [*group.attrs.items()]
-    for _, text in [*found]:
+    """Return the attributes of a group, including the fields of JSON texts, as in robomimic."""
+    attributes = [*group.attrs.items()]
+    for _, text in [*attributes]:
         if isinstance(text, str) and text.startswith("{"):
             with suppress(ValueError):
-                found += fields_of(json.loads(text))
-    return found
+                attributes += fields_of(json.loads(text))
+    return attributes
 
 
 def read_parquet(path: Path, reading: Reading) -> LogTable:
-    """Return the columns of a Parquet file; see `read_bag` for arguments."""
+    """Read a Parquet file; plain numbers are read lazily."""
     parquet = optional_package("pyarrow.parquet", "logs", "Parquet files", LogError)
     with readable(path, "Parquet file"):
         file = parquet.ParquetFile(path)
@@ -387,8 +387,8 @@ def read_parquet(path: Path, reading: Reading) -> LogTable:
         check_room(path, rows * width, f"{rows} rows of {width} columns")
         names = file.schema_arrow.names
         is_plain = all(_PLAIN.fullmatch(str(field.type)) for field in file.schema_arrow)
-        told = [n for n in names if numbers_joints(n) or tells(n, "robots", "recordings")]
-        if is_plain and not told:
+        grouping = [n for n in names if numbers_joints(n) or tells(n, "robots", "recordings")]
+        if is_plain and not grouping:
             check_once(path, names)
             return LogTable(path, ParquetColumns(path, file, names))
         return arrow_table(path, file.read())
@@ -398,7 +398,7 @@ _PLAIN = re.compile(r"float|double|u?int\d+")
 
 
 class ParquetColumns(Mapping[str, Array]):
-    """Columns of numbers of a Parquet file; each is read where it is needed."""
+    """Numeric columns of a Parquet file, each read when it is needed."""
 
     def __init__(self, path: Path, file: Any, names: Sequence[str]) -> None:
         self._path, self._file, self._names = path, file, names
@@ -406,7 +406,7 @@ class ParquetColumns(Mapping[str, Array]):
     def __getitem__(self, name: str) -> Array:
         with readable(self._path, "Parquet file"):
             column = self._file.read([name]).column(0).to_numpy()
-        return np.array(column, float)  # as Arrow keeps its own memory, even when it is free
+        return np.array(column, float)  # a copy, as Arrow does not release its memory
 
     def __contains__(self, name: object) -> bool:
         return name in self._names
@@ -419,14 +419,14 @@ class ParquetColumns(Mapping[str, Array]):
 
 
 def read_feather(path: Path, reading: Reading) -> LogTable:
-    """Return the columns of a Feather or Arrow file; see `read_bag` for arguments."""
+    """Read a Feather or Arrow file."""
     feather = optional_package("pyarrow.feather", "logs", "Feather files", LogError)
     with readable(path, "Feather file"):
         return arrow_table(path, feather.read_table(path))
 
 
 def arrow_table(path: Path, table: Any) -> LogTable:
-    """Return columns of an Arrow table: structs by `<struct>.<field>`, lists by `<list>[0]`."""
+    """Convert an Arrow table; columns are named `<struct>.<field>` and `<list>[0]`."""
     while any(str(field.type).startswith("struct") for field in table.schema):
         table = table.flatten()
     check_once(path, table.column_names)
@@ -435,7 +435,7 @@ def arrow_table(path: Path, table: Any) -> LogTable:
 
 
 def arrow_numbers(column: Any) -> Any:
-    """Return the values of a column of Arrow, lists of one length as (N, n)."""
+    """Return the values of an Arrow column; lists of equal length as (N, n)."""
     if not hasattr(column.type, "value_type") or not hasattr(column.type, "value_field"):
         return column.to_numpy()
     values = column.combine_chunks()
@@ -446,19 +446,19 @@ def arrow_numbers(column: Any) -> Any:
 
 
 INFO = "meta/info.json"
-"""Files that identify a folder as a dataset."""
+"""File that identifies a folder as a dataset."""
 
 _LARGEST_INFO = 100_000_000  # bytes
-_ACTION = "action"  # what a policy or a person told the joints
+_ACTION = "action"  # commands of a policy or a person
 
 
 def read_lerobot(path: Path, reading: Reading) -> LogTable:
-    """Return the columns of a LeRobot dataset; see `read_bag` for arguments."""
+    """Read a LeRobot dataset."""
     parquet = optional_package("pyarrow.parquet", "logs", "LeRobot datasets", LogError)
     with readable(path, "LeRobot dataset"):
         text = read_regular(path / INFO, "description", LogError, largest=_LARGEST_INFO)
         features = json.loads(text)["features"]
-        meaning = dict(_meaning(features))
+        meaning = dict(_columns_of_features(features))
         wanted = ["timestamp", "episode_index", *dict.fromkeys(f for f, _ in meaning)]
         episode = reading.episode
         only = None if episode is None else [("episode_index", "==", episode)]
@@ -469,32 +469,32 @@ def read_lerobot(path: Path, reading: Reading) -> LogTable:
         of, advice = ("", "") if only is None else (f" of episode {episode}", "Count them from 0.")
         raise LogError(f"LeRobot dataset {str(path)!r} has no samples{of}.", advice=advice)
     named = {name: columns[column] for (_, column), name in meaning.items() if column in columns}
-    told = {"time": columns["timestamp"], "episode_index": columns["episode_index"]}
-    return LogTable(path, told | named)
+    common = {"time": columns["timestamp"], "episode_index": columns["episode_index"]}
+    return LogTable(path, common | named)
 
 
-def _meaning(features: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], str]]:
-    """Yield feature and column -> `<joint>.<quantity>`, for observations of joints and actions."""
+def _columns_of_features(features: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], str]]:
+    """Yield ((feature, column), name) for observations of joints and actions."""
     for feature, description in features.items():
-        told, is_action = meaning_of(f"{feature}[0]"), feature == _ACTION
+        parsed, is_action = meaning_of(f"{feature}[0]"), feature == _ACTION
         is_read = is_action or feature.startswith("observation")
-        if not is_read or told is None or told.role >= PREVIOUS:
+        if not is_read or parsed is None or parsed.role >= PREVIOUS:
             continue
         (size,) = description["shape"]
         names = _names(description.get("names"), size) or [""] * size
         for k, name in enumerate(names):
             joint, _, word = name.rpartition(".")
-            own = quantity_of(word) if joint else None
-            if is_action and own not in (None, "position"):
-                continue  # no position that a servo goes to
-            joint = joint if own else name
-            quantity = "command" if is_action else own or told.quantity
+            stated = quantity_of(word) if joint else None
+            if is_action and stated not in (None, "position"):
+                continue  # not a position command
+            joint = joint if stated else name
+            quantity = "command" if is_action else stated or parsed.quantity
             column = feature if size == 1 else f"{feature}[{k}]"
             yield (feature, column), f"{joint}.{quantity}" if joint else f"{quantity}[{k}]"
 
 
 def _names(names: Any, size: int) -> list[str] | None:
-    """Return the names of a feature's numbers, however nested; None if there are none."""
+    """Return the names of a feature's components, which may be nested; None if there are none."""
     if isinstance(names, Mapping):
         names = [name for each in names.values() if isinstance(each, list) for name in each]
     if isinstance(names, list) and len(names) == 1 and isinstance(names[0], list):
@@ -505,7 +505,7 @@ def _names(names: Any, size: int) -> list[str] | None:
 
 
 def read_npy(path: Path, reading: Reading) -> LogTable:
-    """Return the columns of an NPY file: fields of records, or those of a matrix."""
+    """Read the records or the matrix in an NPY file."""
     advice = "Write it with numpy.save: records, or a row for each sample."
     with readable(path, "NPY file", advice):
         try:
@@ -534,7 +534,7 @@ _NPZ_ADVICE = "Store one 1-D array for each column, all of the same length."
 
 
 def read_npz(path: Path, reading: Reading) -> LogTable:
-    """Return the columns of an NPZ file."""
+    """Read an NPZ file."""
     arrays, objects = dict[str, Any](), list[str]()
     with (
         readable(path, "NPZ archive", f"Write it with numpy.savez. {_NPZ_ADVICE}"),
@@ -543,7 +543,7 @@ def read_npz(path: Path, reading: Reading) -> LogTable:
     ):
         entries = {e: e.filename.removesuffix(".npy").strip() for e in archive.infolist()}
         check_once(path, [*entries.values()])
-        declared = {entry: _declared(archive, entry) for entry in entries}
+        declared = {entry: _header(archive, entry) for entry in entries}
         wanted = {e: said for e, said in declared.items() if _may_be_log(entries[e], said[0])}
         size = sum(math.prod(shape) for shape, _ in wanted.values())
         check_room(path, size, f"{size} numbers")
@@ -563,7 +563,7 @@ def read_npz(path: Path, reading: Reading) -> LogTable:
                         advice="Save it as numpy.array(names, dtype=str).",
                     )
             elif entry in wanted:
-                with archive.open(entry) as member, np.errstate(over="ignore"):  # of long doubles
+                with archive.open(entry) as member, np.errstate(over="ignore"):  # long doubles
                     array = npy.read_array(member, allow_pickle=False)
                     if member.read(1):
                         raise ValueError(f"array {name!r} is longer than its header says")
@@ -574,14 +574,14 @@ def read_npz(path: Path, reading: Reading) -> LogTable:
 
 
 def _may_be_log(name: str, shape: Sequence[int]) -> bool:
-    """Return whether an array is read: no images, but of joints what is told to have no rows."""
+    """Return whether an array is read: any up to 2-D, or of joints, to report its shape."""
     meaning = meaning_of(name)
     width = sum(count != 1 for count in shape) if len(shape) > 2 else len(shape)
     return width <= 2 or (meaning is not None and meaning.quantity in OF_JOINTS)
 
 
-def _declared(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> tuple[tuple[int, ...], Any]:
-    """Return the shape and the type of an array by its header."""
+def _header(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> tuple[tuple[int, ...], Any]:
+    """Return the shape and dtype of an array from its header."""
     with archive.open(entry) as file:
         is_first = npy.read_magic(file) == (1, 0)
         read = npy.read_array_header_1_0 if is_first else npy.read_array_header_2_0

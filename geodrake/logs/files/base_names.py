@@ -1,6 +1,6 @@
-"""Names and units of columns of a floating base, its IMU and its contacts.
+"""Parse column names of a floating base, its IMU and its contacts.
 
-They are geodrake's own (`geodrake.logs.floating`), those of ROS's messages, and such as
+Names are geodrake's own (`geodrake.logs.floating`), those of ROS messages, and variants such as
 `base_quat_w`, `base_roll_deg`, `base_R_00`, `imu_gyro_x [deg/s]` or `FL_foot.force.z_kgf`.
 """
 
@@ -27,9 +27,9 @@ _SHORTENED = re.compile(
     r"[._\[]*(?P<axis>[wxyz]|\d\d?|roll|pitch|yaw)\]?",
     re.IGNORECASE,
 )
-_UNNUMBERED = "", "q", "force", "torque"  # fields of which numbers are those of joints
+_UNNUMBERED = "", "q", "force", "torque"  # numbers after these fields are joint numbers
 _ANGLES = dict(zip("xyz", ANGLES, strict=True))
-_LINKS = re.compile(r"trunk|torso|pelvis", re.IGNORECASE)  # which may have joints of such names
+_LINKS = re.compile(r"trunk|torso|pelvis", re.IGNORECASE)  # joints may have such names
 _CONTACT = re.compile(r"(?P<frame>.+?)[./](?:in_)?contact(?:_state)?", re.IGNORECASE)
 
 
@@ -40,7 +40,7 @@ def floating_meaning(column: str) -> Meaning | None:
         return Meaning(column, name)
     for quantity in dict.fromkeys(_QUANTITIES.values()):
         plain, unit = without_unit(column, quantity)
-        cut = column.rpartition("_")[0]  # with its own points
+        cut = column.rpartition("_")[0]  # for units with dots
         name = None if unit is None else _floating_name(plain) or _floating_name(cut)
         if name and quantity in (_QUANTITIES.get(w) for w in re.split(r"[._]", name)):
             return Meaning(column, name, unit=unit)
@@ -48,7 +48,7 @@ def floating_meaning(column: str) -> Meaning | None:
 
 
 def _floating_name(column: str) -> str | None:
-    """Return geodrake's own name of a column without a unit; None if it is something else."""
+    """Return geodrake's own name of a column without a unit; None for other columns."""
     if (found := _CONTACT.fullmatch(column)) is not None:
         return f"{found['frame']}{FLAG}"
     plain = re.sub(r"(?<=\w)/(?=\w)", ".", column.strip("/"))
@@ -70,16 +70,16 @@ def _floating_name(column: str) -> str | None:
     if what == "angles":
         what, axis = "base.orientation", _ANGLES.get(axis, axis)
     is_turn = what == "base.orientation"
-    is_its = _IMU.search(head) if what.startswith("imu.") else is_of_base
-    if is_its is None or (axis == "w") > is_turn or (is_turn and _IMU.search(head)):
+    is_matching = _IMU.search(head) if what.startswith("imu.") else is_of_base
+    if is_matching is None or (axis == "w") > is_turn or (is_turn and _IMU.search(head)):
         return None
     return f"{what}.{axis}"
 
 
 def numbered_axes(names: Iterable[str]) -> dict[str, str]:
-    """Return geodrake's own names for those that end with the number of an axis.
+    """Return new names for those that end with the number of an axis.
 
-    Three numbers are x, y and z, or roll, pitch and yaw; others count from 0 on.
+    Three numbers become x, y and z, or roll, pitch and yaw; others are counted from 0.
     """
     heads, found = dict[str, list[str]](), dict[str, str]()
     for name in names:

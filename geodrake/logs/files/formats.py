@@ -1,4 +1,4 @@
-"""Formats of log files, recognized by suffix, folder content or bytes, and joined logs."""
+"""Recognize the format of log files by suffix, folder content or first bytes; join files."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ _READERS: Mapping[Reader, Sequence[str]] = {
     read_sheet: _SHEETS,
 }
 SUFFIXES = {suffix: reader for reader, suffixes in _READERS.items() for suffix in suffixes}
-"""Reader of files by their suffix."""
+"""Suffix -> reader of files."""
 
 FOLDERS: Mapping[str, Reader] = {
     "metadata.yaml": read_bag,
@@ -72,7 +72,7 @@ FOLDERS: Mapping[str, Reader] = {
     "*.db3": read_bag,
     INFO: read_lerobot,
 }
-"""Readers of folders, by their content."""
+"""Pattern of a file in a folder -> reader of the folder."""
 
 BEGINNINGS: Mapping[bytes, Reader] = {
     MAGIC: read_lcm,
@@ -83,11 +83,11 @@ BEGINNINGS: Mapping[bytes, Reader] = {
     b"# Created by Octave": read_octave,
     b'{"': read_json,
 }
-"""Reader of files by their first bytes: lcm-logger's names end in a date."""
+"""First bytes -> reader of files without a specific suffix, such as lcm-logger's."""
 
 
 def table_of(path: Path, reading: Reading) -> LogTable:
-    """Return the columns of a file of any format, which may be yet to be read."""
+    """Return the table of a file of any format, whose columns may be read later."""
     kind = unpacked(path).suffix.lower()
     if unpacked(path) != path and kind not in PACKABLE:
         raise LogError(
@@ -107,14 +107,14 @@ def table_of(path: Path, reading: Reading) -> LogTable:
     if kind not in (*TEXT, *_SHEETS, ".npy", ".npz"):
         return table
     names = [*table.names, *table.words]
-    words = frozenset().union(*map(plain_words, table.names))  # of which one may tell a robot
-    asked = [topic for topic in reading.topics if not plain_words(topic) & words]
-    is_told = kind in _SHEETS or any(tells(name, "robots") for name in names)
-    lacks = dict[str, object](topic=", ".join(asked)) if asked and not is_told else {}
+    words = frozenset().union(*map(plain_words, table.names))  # one may name a robot
+    unmatched = [topic for topic in reading.topics if not plain_words(topic) & words]
+    has_robots = kind in _SHEETS or any(tells(name, "robots") for name in names)
+    lacks = dict[str, object](topic=", ".join(unmatched)) if unmatched and not has_robots else {}
     if reading.episode is not None and not any(tells(name, "recordings") for name in names):
         lacks["episode"] = reading.episode
-    said = (f"{path.name} has no {what}s, so {x!r} has no meaning" for what, x in lacks.items())
-    return table.noting(*said)
+    notes = (f"{path.name} has no {what}s, so {x!r} has no meaning" for what, x in lacks.items())
+    return table.noting(*notes)
 
 
 def reader_of(path: Path) -> Reader | None:
@@ -126,17 +126,17 @@ def reader_of(path: Path) -> Reader | None:
         with open_regular(path, "log", LogError) as file:
             first = file.read(max(map(len, BEGINNINGS)))
         found = (reader for begin, reader in BEGINNINGS.items() if first.startswith(begin))
-        if (told := next(found, None)) is not None:
-            return told
+        if (special := next(found, None)) is not None:
+            return special
     return SUFFIXES.get(kind)
 
 
 @typed
 def check_log(path: Path) -> Path:
-    """Return the path of a log that can be opened: a file, or the folder of such a format."""
+    """Return the path of a log after checking that it is a file or a folder of a known format."""
     try:
         is_folder = path.is_dir()
-    except (OSError, ValueError):  # no name that a file could have
+    except (OSError, ValueError):  # not a valid file name
         is_folder = False
     if not is_folder:
         return regular_file(path, "log", LogError)
@@ -148,12 +148,12 @@ def check_log(path: Path) -> Path:
     return path
 
 
-_TOLD = re.compile(r"(?<![a-z])controls?(?![a-z])")  # in the name of a file of commands
+_TOLD = re.compile(r"(?<![a-z])controls?(?![a-z])")  # in names of files of commands
 
 
 @typed
 def parts_of(path: Path) -> tuple[Path, ...]:
-    """Return the files of a log: itself, or those joined by `+`, as in `q.csv+efforts.csv`."""
+    """Split the path of a log at `+` into its files, as in `q.csv+efforts.csv`."""
     if "+" not in str(path) or path.exists():
         return (path,)
     return tuple(Path(part) for part in str(path).split("+") if part)
@@ -165,9 +165,9 @@ def file_names(path: Path) -> str:
 
 
 def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
-    """Return the columns of several files, at the time stamps of the one with the fewest a second.
+    """Join several files at the time stamps of the slowest.
 
-    A file's name may say the quantity, as `efforts.csv`, the arm, as `left.csv`, or the joint.
+    A file name may contain the quantity (`efforts.csv`), the arm (`left.csv`) or the joint.
     """
     named = [replace(_named_table(path, reading), path=Path(path.name)) for path in paths]
     arms = {frozenset(PAIRS & plain_words(unpacked(path).stem)) for path in paths}
@@ -177,23 +177,23 @@ def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
         {m.column: f"{unpacked(path).stem}.{m.quantity}" for m in told if m.is_bare}
         for path, told in zip(paths, [meanings_of(each.columns) for each in named], strict=True)
     ]
-    new = {name for names in bare for name in names.values()}
-    told = {str(mapped.column) for _, mapped in reading.mapping or ()} or new
-    if sum(map(bool, bare)) > 1 and new & told:
+    new_names = {name for names in bare for name in names.values()}
+    told = {str(mapped.column) for _, mapped in reading.mapping or ()} or new_names
+    if sum(map(bool, bare)) > 1 and new_names & told:
         named = [table.renamed(names) for table, names in zip(named, bare, strict=True)]
     return joined_tables(Path("+".join(path.name for path in paths)), named, reading)
 
 
 def _named_table(path: Path, reading: Reading) -> LogTable:
-    """Return the columns of one file; bare names of joints get the quantity of the file's name."""
+    """Read one file, and append the quantity in its file name to bare joint names."""
     table = regrouped(table_of(path, reading).loaded(skip=reading.skip_bad_rows), reading)
     stem, meanings = unpacked(path).stem, meanings_of(table.columns)
     quantity = quantity_of(stem) or ("command" if _TOLD.search(stem.lower()) else None)
     if quantity is None or any(m.quantity == quantity for m in meanings):
         return table
     if quantity == "command" and joint_columns(table.columns):
-        told = (m.column for m in meanings if m.quantity == "position")
-        own = {column: column.removesuffix(".position") for column in told}
+        positions = (m.column for m in meanings if m.quantity == "position")
+        own = {column: column.removesuffix(".position") for column in positions}
         return table.renamed(
             {c: f"{j}.command" if j != c else f"command_{c}" for c, j in own.items()}
         )

@@ -1,4 +1,4 @@
-"""Groups in one file: concatenated demonstrations, and parts with their own time."""
+"""Join the groups in a file: demonstrations, recordings, and parts with their own time."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ from geodrake.logs.files.table import (
 )
 from geodrake.logs.time_stamps import longest_step
 
-_MOST_PARTS = 200  # more records are samples, and no joints
+_MOST_PARTS = 200  # more records are samples, not joints
 UNIT_OF = re.compile(r"(?:^|[._/])units?(?:[._/]|$)", re.IGNORECASE)
-"""The part of a name by which a text is the unit of an array."""
+"""Part of the name of a text that is the unit of an array."""
 
-_VALUES = re.compile(r"\.(data|values?)$", re.IGNORECASE)  # beside a unit
+_VALUES = re.compile(r"\.(data|values?)$", re.IGNORECASE)  # values with a unit
 
-_STEPS_BETWEEN, _BETWEEN = 30.0, 1.0  # steps and s between episodes at least, which are a gap
+_STEPS_BETWEEN, _BETWEEN = 30.0, 1.0  # least steps and s between episodes, to form a gap
 _EPISODE = re.compile(
     r"(?:demo|demonstration|episode|ep|traj|trajectory|rollout|trial|run)s?[_ -]?(\d+)", re.I
 )
@@ -49,7 +49,7 @@ _EPISODE = re.compile(
 def fields_of(
     record: Mapping[str, Any], prefix: str = "", *, lists: bool = False
 ) -> Iterator[tuple[str, Any]]:
-    """Yield the fields of nested tables by path; if `lists`, those of tables in lists, too."""
+    """Yield the fields of nested dicts by path; if `lists`, also of dicts in lists."""
     for name, value in record.items():
         if isinstance(value, dict):
             yield from fields_of(value, f"{prefix}{name}.", lists=lists)
@@ -63,31 +63,31 @@ def fields_of(
 def content_table(
     path: Path, content: Any, reading: Reading, advice: str = "Save arrays by their names."
 ) -> LogTable:
-    """Return the columns of nested arrays, or of records for each sample."""
+    """Convert nested arrays, or a list of records, to a table."""
     if (grouped := grouped_table(path, content, reading)) is not None:
         return grouped
     if isinstance(content, Mapping):
         content = _by_names(_with_signals(_inside(content)))
         records = next((x for x in content.values() if are_records(x)), None)
         if records is not None:
-            said = {name: x for name, x in fields_of(content) if describes_columns(name, x)}
-            return records_table(path, records, said)
+            beside = {name: x for name, x in fields_of(content) if describes_columns(name, x)}
+            return records_table(path, records, beside)
     if are_records(content):
         return records_table(path, content)
     if not isinstance(content, Mapping):
         raise neither(path, advice)
     arrays = arrays_of(content)
     table = numeric_table(path, arrays, rows_of(arrays))
-    # Texts beside the arrays, such as `q_units` or `units.q`.
-    told = {UNIT_OF.sub(".", n).strip("."): x for n, x in fields_of(content) if UNIT_OF.search(n)}
+    # Texts such as `q_units` or `units.q`.
+    texts = {UNIT_OF.sub(".", n).strip("."): x for n, x in fields_of(content) if UNIT_OF.search(n)}
     heads = {name: f".{_VALUES.sub('', name.partition('[')[0])}" for name in table.names}
-    of_what = [(f".{what}", unit) for what, unit in told.items() if isinstance(unit, str)]
-    units = {n: u for n, head in heads.items() for what, u in of_what if head.endswith(what)}
+    endings = [(f".{what}", unit) for what, unit in texts.items() if isinstance(unit, str)]
+    units = {n: u for n, head in heads.items() for what, u in endings if head.endswith(what)}
     return replace(table, units=units)
 
 
 def neither(path: Path, advice: str) -> LogError:
-    """Return the error for a file of neither arrays by name nor records."""
+    """Return the error for a file without named arrays or records."""
     return LogError(
         f"Log {str(path)!r} is neither a JSON object nor a list of records.", advice=advice
     )
@@ -96,66 +96,66 @@ def neither(path: Path, advice: str) -> LogError:
 def arrays_of(variables: Mapping[str, Any]) -> dict[str, Any]:
     """Return arrays, lists and scalars by path, without arrays of one number.
 
-    A single struct around everything else is omitted, and Simulink's signals have their labels.
+    A struct that encloses all else is omitted; Simulink's signals are named by their labels.
     """
-    variables, found = _with_signals(_inside(variables)), {}
+    variables, arrays = _with_signals(_inside(variables)), {}
     for name, value in fields_of(variables):
         size = value.size if isinstance(value, np.ndarray) else 2
         size = len(value) if isinstance(value, list) else size
         if isinstance(value, np.ndarray | list | float | int) and size > 1:
-            found[name] = np.squeeze(value) if isinstance(value, np.ndarray) else value
-    return found
+            arrays[name] = np.squeeze(value) if isinstance(value, np.ndarray) else value
+    return arrays
 
 
 def _inside(content: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the content of a struct that is alone, however many are around it."""
+    """Return the content without enclosing structs of one field."""
     while len(content) == 1 and isinstance(inner := next(iter(content.values())), Mapping):
         content = inner
     return content
 
 
 def are_records(content: Any) -> bool:
-    """Return whether something is a list of tables, a record for each sample."""
+    """Return whether the content is a list of dicts."""
     return isinstance(content, list) and {isinstance(row, Mapping) for row in content} == {True}
 
 
 def _by_names(content: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the arrays of records of joints by the joints' names."""
-    found = dict[str, Any]()
+    """Replace records of arrays for each joint by a dict with the joints' names as keys."""
+    by_name = dict[str, Any]()
     for key, value in content.items():
         records = value if are_records(value) and len(value) <= _MOST_PARTS else []
         arrays = (list, np.ndarray)
         lists = [[name for name, x in each.items() if isinstance(x, arrays)] for each in records]
-        called = [str(x) for each in records for n, x in each.items() if names_joints(n)]
-        is_of_joints = all(lists) and len(set(called)) == len(records) > 0
-        found |= dict(zip(called, records, strict=True)) if is_of_joints else {key: value}
-    return found
+        names = [str(x) for each in records for n, x in each.items() if names_joints(n)]
+        is_of_joints = all(lists) and len(set(names)) == len(records) > 0
+        by_name |= dict(zip(names, records, strict=True)) if is_of_joints else {key: value}
+    return by_name
 
 
 def _with_signals(variables: Mapping[str, Any], called: str = "signal{}") -> Mapping[str, Any]:
-    """Return variables with Simulink's structs of values, by their labels or else as `called`."""
+    """Replace Simulink's signals by their values, named by labels or the format `called`."""
     signals = [*np.atleast_1d(variables.get("signals", []))]
     if not all(isinstance(each, Mapping) and "values" in each for each in signals):
         return variables
-    named = dict[str, Any]()
+    values = dict[str, Any]()
     for k, each in enumerate(signals):
         label = np.asarray(each.get("label", ""))
-        named[str(label) if label.size == 1 and str(label) else called.format(k)] = each["values"]
-    return {name: x for name, x in variables.items() if name != "signals"} | named
+        values[str(label) if label.size == 1 and str(label) else called.format(k)] = each["values"]
+    return {name: x for name, x in variables.items() if name != "signals"} | values
 
 
 def describes_columns(name: str, value: Any) -> bool:
-    """Return whether a value beside arrays is their rate or unit, or may name their joints."""
+    """Return whether a value beside arrays is their rate or unit, or a list of names."""
     is_list = isinstance(value, list | np.ndarray) and len(np.atleast_1d(value)) > 0
-    named = is_list and all(isinstance(x, str) for x in np.atleast_1d(value))
+    has_names = is_list and all(isinstance(x, str) for x in np.atleast_1d(value))
     is_unit = isinstance(value, str) and UNIT_OF.search(name) is not None
-    return named or is_unit or (np.isscalar(value) and rate_in(name, value) is not None)
+    return has_names or is_unit or (np.isscalar(value) and rate_in(name, value) is not None)
 
 
 def records_table(
-    path: Path, content: Sequence[Mapping[str, Any]], said: Mapping[str, Any] | None = None
+    path: Path, content: Sequence[Mapping[str, Any]], extras: Mapping[str, Any] | None = None
 ) -> LogTable:
-    """Return the columns of records of any fields, and of what is `said` beside them."""
+    """Convert records with any fields to a table, and add the values in `extras`."""
     columns, width = dict[str, list[Any]](), 0
     for k, record in enumerate(content):
         for name, value in fields_of(record, lists=True):
@@ -168,14 +168,14 @@ def records_table(
             columns[name].append(value)
     for values in columns.values():
         values.extend([None] * (len(content) - len(values)))
-    return numeric_table(path, {**(said or {}), **columns}, len(content))
+    return numeric_table(path, {**(extras or {}), **columns}, len(content))
 
 
 def grouped_table(path: Path, content: Any, reading: Reading) -> LogTable | None:
-    """Return the columns of demonstrations or of parts with their own time; None otherwise."""
-    found = _episodes_in(content, least=1 if reading.episode is not None else 2)
-    if found:
-        return _in_turn(path, found, content, reading)
+    """Join demonstrations, or parts with their own time; return None if there are none."""
+    episodes = _episodes_in(content, least=1 if reading.episode is not None else 2)
+    if episodes:
+        return _joined_episodes(path, episodes, content, reading)
     if reading.episode is not None:
         raise LogError(
             f"Log {str(path)!r} has no episodes, such as groups demo_0, demo_1.",
@@ -188,36 +188,36 @@ def grouped_table(path: Path, content: Any, reading: Reading) -> LogTable | None
             parts.append((name, part))
     if len(parts) < 2:
         return None
-    is_told = len({name[-1:] for name, _ in parts}) == len(parts)
-    named = [(".".join(name[-1:] if is_told else name), each) for name, each in parts]
+    is_unique = len({name[-1:] for name, _ in parts}) == len(parts)
+    named = [(".".join(name[-1:] if is_unique else name), each) for name, each in parts]
     return joined_tables(path, [_part(name, each) for name, each in named], reading)
 
 
 def _episodes_in(content: Any, *, least: int) -> dict[int, Mapping[str, Any]]:
-    """Return the demonstrations of a file by their numbers, in the order of these."""
+    """Return the demonstrations of a file by number, sorted."""
     if not isinstance(content, Mapping):
         return {}
-    told = ((_EPISODE.fullmatch(name), x) for name, x in content.items())
-    found = {int(n[1]): x for n, x in told if n is not None and isinstance(x, Mapping)}
-    if len(found) >= least:
-        return dict(sorted(found.items()))
+    numbered = ((_EPISODE.fullmatch(name), x) for name, x in content.items())
+    episodes = {int(n[1]): x for n, x in numbered if n is not None and isinstance(x, Mapping)}
+    if len(episodes) >= least:
+        return dict(sorted(episodes.items()))
     inside = (_episodes_in(each, least=least) for each in content.values())
     return next(filter(None, inside), {})
 
 
 def is_of_episode(path: Sequence[str], reading: Reading) -> bool:
-    """Return whether an object is in the chosen episode, if in one, by the groups it is in."""
+    """Return whether an object, given its path, is in the chosen episode or in none."""
     numbers = (int(found[1]) for name in path if (found := _EPISODE.fullmatch(name)))
     return reading.episode in (None, next(numbers, reading.episode))
 
 
-def _in_turn(
+def _joined_episodes(
     path: Path,
     episodes: Mapping[int, Mapping[str, Any]],
     content: Mapping[str, Any],
     reading: Reading,
 ) -> LogTable:
-    """Return the columns of all demonstrations, or of the chosen one."""
+    """Concatenate all demonstrations, or return the chosen one."""
     if reading.episode is not None and reading.episode not in episodes:
         raise LogError(
             f"Log {str(path)!r} has no episode {reading.episode}; it has "
@@ -225,18 +225,18 @@ def _in_turn(
             advice="Choose one of these, or omit --episode to read all.",
         )
     chosen = [reading.episode] if reading.episode is not None else [*episodes]
-    said = {name: x for name, x in fields_of(content) if describes_columns(name, x)}
+    beside = {name: x for name, x in fields_of(content) if describes_columns(name, x)}
     tables = []
     for number in chosen:
         arrays = arrays_of(episodes[number])
-        tables.append(numeric_table(path, {**said, **arrays}, rows_of(arrays)))
+        tables.append(numeric_table(path, {**beside, **arrays}, rows_of(arrays)))
     return one_after_another(tables, reading)
 
 
 def one_after_another(tables: Sequence[LogTable], reading: Reading) -> LogTable:
-    """Return the columns that all episodes have, with gaps between episodes.
+    """Concatenate the common columns of episodes, with gaps between episodes.
 
-    Without time stamps, empty rows separate two of them; time that begins anew is continued.
+    Time that restarts is continued. Without time, empty rows separate episodes.
     """
     first = tables[0]
     names = [n for n in first.columns if all(n in table.columns for table in tables)]
@@ -247,25 +247,25 @@ def one_after_another(tables: Sequence[LogTable], reading: Reading) -> LogTable:
     for name in names:
         parts = [first.columns[name]]
         for table in tables[1:]:
-            own = table.columns[name]
-            following = _going_on(parts[-1], own) if is_time(name) else own
+            values = table.columns[name]
+            following = _continued(parts[-1], values) if is_time(name) else values
             parts += [following] if has_time else [empty, following]
         columns[name] = np.concatenate(parts)
     notes = [f"{len(tables)} episodes, concatenated"] if len(tables) > 1 else []
-    lost = dict.fromkeys(n for table in tables for n in table.columns if n not in columns)
-    notes += [f"columns missing in some episodes: {listed([*lost])}"] if lost else []
+    dropped = dict.fromkeys(n for table in tables for n in table.columns if n not in columns)
+    notes += [f"columns missing in some episodes: {listed([*dropped])}"] if dropped else []
     return replace(first, columns=columns, notes=(*notes, *first.notes))
 
 
-_MOST_ROBOTS = 50  # different words or numbers in a column that tells them
-_LEAST_EDGES = 3  # changes at which a robot is seen to move on
-_MOVING = 0.5  # of the usual step of a joint that moves, and of such changes
+_MOST_ROBOTS = 50  # most distinct values in a column of robots
+_LEAST_EDGES = 3  # least changes of value to recognize continuous motion
+_MOVING = 0.5  # fraction of the median step that counts as motion, and of such changes
 ALL_ROBOTS = "all"
-"""Topic by which rows of several robots are those of one."""
+"""Topic that treats the rows of several robots as those of one."""
 
 
 def regrouped(table: LogTable, reading: Reading) -> LogTable:
-    """Return a table of one robot, recordings one after the other, with a column for each joint."""
+    """Select one robot, concatenate recordings, and give each joint its own columns."""
     names = (*table.columns, *table.words)
     robots = [n for n in names if tells(n, "robots")]  # first, as joining recordings drops words
     for name in (*robots, *(n for n in names if tells(n, "recordings") and n not in robots)):
@@ -275,24 +275,24 @@ def regrouped(table: LogTable, reading: Reading) -> LogTable:
             cells = np.array([f"{x:g}" for x in table.columns[name]], object)
         else:  # dropped when recordings were joined
             continue
-        of_one = _of_one_robot if tells(name, "robots") else _of_recordings
+        of_one = _robot_rows if tells(name, "robots") else _recording_rows
         table = of_one(table, name, cells, reading)
     return reshaped(by_clocks(table, reading), reading)
 
 
-def _of_one_robot(table: LogTable, name: str, cells: Texts, reading: Reading) -> LogTable:
-    """Return the rows of the robot that is asked for, if a column tells several."""
+def _robot_rows(table: LogTable, name: str, cells: Texts, reading: Reading) -> LogTable:
+    """Return the rows of the requested robot, if a column distinguishes several."""
     robots = [robot for robot in dict.fromkeys(cells.tolist()) if robot not in NOTHING]
     if len(robots) == 1:
         return table.noting(f"all rows are of one robot: {name!r} is {robots[0]!r}")
-    if not 1 < len(robots) <= _MOST_ROBOTS or not _are_together(table, cells, robots):
+    if not 1 < len(robots) <= _MOST_ROBOTS or not _are_simultaneous(table, cells, robots):
         return table
     without = replace(table, words={n: words for n, words in table.words.items() if n != name})
-    if asked := [robot for robot in robots if robot in reading.topics]:
-        return _rows(without, cells == asked[0]).noting(
-            f"rows with {asked[0]!r} in {name!r} are read"
+    if chosen := [robot for robot in robots if robot in reading.topics]:
+        return _rows(without, cells == chosen[0]).noting(
+            f"rows with {chosen[0]!r} in {name!r} are read"
         )
-    if _moves_on(table, cells):
+    if _is_continuous(table, cells):
         words = "joints move on where it changes, so all rows are of one robot"
         return without.noting(f"{name!r} is {listed(robots)}: {words}")
     if ALL_ROBOTS in reading.topics:
@@ -305,8 +305,8 @@ def _of_one_robot(table: LogTable, name: str, cells: Texts, reading: Reading) ->
     )
 
 
-def _moves_on(table: LogTable, cells: Texts) -> bool:
-    """Return whether joints go on as they moved where cells (N,) change, as no other robot does."""
+def _is_continuous(table: LogTable, cells: Texts) -> bool:
+    """Return whether joints move smoothly across changes of the cells (N,), as one robot does."""
     places = [
         table.columns[m.column] for m in meanings_of(table.columns) if m.quantity == "position"
     ]
@@ -318,81 +318,81 @@ def _moves_on(table: LogTable, cells: Texts) -> bool:
         return False
     position = np.stack(places, 1)
     steps = np.abs(np.diff(position, axis=0))
-    bends = np.abs(np.diff(position, 2, axis=0))  # from rows k − 1, k to k + 1, at k − 1
+    bends = np.abs(np.diff(position, 2, axis=0))  # rows k − 1 to k + 1 at k − 1
     usual = np.nanmax(np.delete(bends, np.concatenate([edges - 2, edges - 1]), 0), 0, initial=0.0)
     is_smooth = (np.maximum(bends[edges - 2], bends[edges - 1]) <= usual).all()
     moving = (steps[edges - 1] > _MOVING * np.nanmedian(steps, axis=0)).any(axis=1)
     return bool(is_smooth and np.nanmedian(steps) > 0.0 and moving.mean() > _MOVING)
 
 
-def _are_together(table: LogTable, cells: Texts, robots: Sequence[str]) -> bool:
-    """Return whether robots are logged at the same time, one row each or one after the other.
+def _are_simultaneous(table: LogTable, cells: Texts, robots: Sequence[str]) -> bool:
+    """Return whether robots were logged simultaneously, in alternating rows or in blocks.
 
     Otherwise, 0 and 1 may be a flag of one robot.
     """
     time = next((x for n, x in table.columns.items() if table.is_time(n)), None)
     if time is None or {*robots} - {"0", "1"}:
         return True
-    known = (time[(cells == robot) & np.isfinite(time)] for robot in robots)
-    spans = sorted((x.min(initial=np.inf), x.max(initial=-np.inf)) for x in known)
+    times = (time[(cells == robot) & np.isfinite(time)] for robot in robots)
+    spans = sorted((x.min(initial=np.inf), x.max(initial=-np.inf)) for x in times)
     changes = np.flatnonzero(cells[1:] != cells[:-1])
-    begins_anew = (np.diff(time)[changes] < 0.0).all()
-    return bool(spans[1][0] < spans[0][1] and (begins_anew or 4 * len(changes) > len(cells)))
+    restarts = (np.diff(time)[changes] < 0.0).all()
+    return bool(spans[1][0] < spans[0][1] and (restarts or 4 * len(changes) > len(cells)))
 
 
-def _of_recordings(table: LogTable, name: str, cells: Texts, reading: Reading) -> LogTable:
-    """Return the rows of the recording that is asked for, or of all with gaps between them.
+def _recording_rows(table: LogTable, name: str, cells: Texts, reading: Reading) -> LogTable:
+    """Return the rows of the requested recording, or all recordings with gaps between them.
 
-    A column that tells recordings does so if time begins anew where it changes.
+    A column distinguishes recordings if time restarts only where it changes.
     """
     edges = np.flatnonzero(cells[1:] != cells[:-1]) + 1
     time = next((x for n, x in table.columns.items() if table.is_time(n)), None)
     if time is None or not len(edges):
         return table
-    back = np.flatnonzero(np.diff(time) < 0.0) + 1
-    if not {*back} <= {*edges}:
+    restarts = np.flatnonzero(np.diff(time) < 0.0) + 1
+    if not {*restarts} <= {*edges}:
         return table
     if reading.episode is not None:
-        if not (here := cells == str(reading.episode)).any():
+        if not (rows := cells == str(reading.episode)).any():
             raise LogError(
                 f"Log {str(table.path)!r} has no {name!r} of {reading.episode}; it has "
                 f"{listed(list(dict.fromkeys(cells.tolist())))}.",
                 advice="Choose one of these, or omit --episode to read all.",
             )
-        return _rows(table, here)
-    if not len(back):
+        return _rows(table, rows)
+    if not len(restarts):
         return table
     parts = np.split(np.arange(len(cells)), edges)
     return one_after_another([replace(_rows(table, part), words={}) for part in parts], reading)
 
 
 def _rows(table: LogTable, rows: Any) -> LogTable:
-    """Return some rows of a table in memory."""
+    """Return some rows of a loaded table."""
     columns = {name: values[rows] for name, values in table.columns.items()}
     words = {name: cells[rows] for name, cells in table.words.items()}
     return replace(table, columns=columns, words=words)
 
 
-def _going_on(before: Array, time: Array) -> Array:
-    """Return time (N,) of an episode after that of others, behind which it is to be."""
-    known, own = (each[np.isfinite(each)] for each in (before, time))
-    if not len(own) or not len(known) or own[0] > known[-1]:
+def _continued(previous: Array, time: Array) -> Array:
+    """Shift the time (N,) of an episode behind the previous one, unless it already is."""
+    earlier, stamps = (each[np.isfinite(each)] for each in (previous, time))
+    if not len(stamps) or not len(earlier) or stamps[0] > earlier[-1]:
         return time
-    longer = own if len(own) > 1 else known
+    longer = stamps if len(stamps) > 1 else earlier
     period = (longer[-1] - longer[0]) / max(len(longer) - 1, 1)
-    return time + (known[-1] - own[0] + max(_STEPS_BETWEEN * period, _BETWEEN))
+    return time + (earlier[-1] - stamps[0] + max(_STEPS_BETWEEN * period, _BETWEEN))
 
 
 def _parts_in(content: Any, name: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Yield names and tables or lists of records that have their own time."""
+    """Yield the paths and contents of dicts, or lists of records, with their own time."""
     if are_records(content):
         times = [x for n, x in content[0].items() if is_time(n)]
         if times and not any(isinstance(x, list | np.ndarray) for x in times):
             yield name, content
             return
         for k, record in enumerate(content if len(content) <= _MOST_PARTS else ()):
-            called = next((str(x) for n, x in record.items() if names_joints(n)), str(k))
-            yield from _parts_in(record, (*name, called))
+            label = next((str(x) for n, x in record.items() if names_joints(n)), str(k))
+            yield from _parts_in(record, (*name, label))
     elif isinstance(content, Mapping):
         content = _with_signals(content, "value")
         for own, each in content.items():

@@ -1,4 +1,4 @@
-"""Recordings of messages: bags of ROS 1 and 2, MCAP files, and logs of LCM."""
+"""Read recordings of messages: bags of ROS 1 and 2, MCAP files, and logs of LCM."""
 
 from __future__ import annotations
 
@@ -31,27 +31,27 @@ from geodrake.logs.files.table import LogTable, readable
 from geodrake.logs.files.topics import Received, chosen_topics, topics_of, topics_table
 from geodrake.logs.files.units import WORDS
 
-_FIRST = 20  # messages by which a topic is known; publishers of other joints may take turns
+_FIRST = 20  # messages used to probe a topic, as publishers may take turns
 _DYNAMIC_STATE = "control_msgs/msg/DynamicJointState"
 _TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 _NUMBERS = re.compile(r"std_msgs/msg/(Float|Int)\d+MultiArray")
-_WORDS = re.compile(r"effort|torque|trq|\btau")  # in the definition of a type that has efforts
+_WORDS = re.compile(r"effort|torque|trq|\btau")  # in definitions of types with efforts
 _IDL_RULE = "=" * 80 + "\n"  # between definitions in IDL
-_LONGEST_DEFINITION = 50_000  # letters of a type and of those in it, which take seconds to parse
-_LONG_ARRAY = re.compile(r"\[\d{5,}\]")  # in a definition, that a message need not have data for
+_LONGEST_DEFINITION = 50_000  # characters of a type definition, as parsing takes seconds
+_LONG_ARRAY = re.compile(r"\[\d{5,}\]")  # fixed size, allocated even without data
 _REPAIR = (
     "If the recording is truncated, repair it: `ros2 bag reindex` for a folder, `mcap "
     "recover` for .mcap, `rosbag reindex` for .bag."
 )
 
 Decoder = Callable[[bytes, str], Any]
-"""Function from bytes to a message, and its type."""
+"""Function from the bytes and the type of a message to the message."""
 
 M = TypeVar("M", bound=Messages)
 
 
 def read_bag(path: Path, reading: Reading) -> LogTable:
-    """Return the columns of a ROS bag."""
+    """Read a ROS bag."""
     if path.suffix.lower() == ".mcap" and (profile := _profile(path)) is not None:
         return _read_channels(path, reading, profile)
     is_first = path.suffix.lower() == ".bag"
@@ -59,12 +59,12 @@ def read_bag(path: Path, reading: Reading) -> LogTable:
     module = f"rosbags.rosbag{1 if is_first else 2}"
     package = optional_package(module, "logs", "ROS bags", LogError)
     with readable(path, "ROS bag", _REPAIR), package.Reader(_storage(path)) as reader:
-        spoken = sorted((c for c in reader.connections if c.msgcount), key=lambda c: c.topic)
-        named = groupby(spoken, key=lambda c: c.topic)
-        topics = [_probed(reader, [*each], method) for _, each in named]
-        base, notes, of_base = _base(reader, spoken, method, reading)
-        asked = [name for name in reading.topics if name.strip("/") not in of_base]
-        chosen = chosen_topics(path, topics, replace(reading, topic=asked or None))
+        connections = sorted((c for c in reader.connections if c.msgcount), key=lambda c: c.topic)
+        groups = groupby(connections, key=lambda c: c.topic)
+        topics = [_probed(reader, [*each], method) for _, each in groups]
+        base, notes, of_base = _base(reader, connections, method, reading)
+        requested = [name for name in reading.topics if name.strip("/") not in of_base]
+        chosen = chosen_topics(path, topics, replace(reading, topic=requested or None))
         whole = [each.read() for each in chosen if each.read is not None]
     return topics_table(path, whole, topics, reading, base).noting(*notes)
 
@@ -73,7 +73,7 @@ _MCAP = re.compile(rb"\x89MCAP0\r\n\x01.{8}(.)\0\0\0", re.DOTALL)
 
 
 def _profile(path: Path) -> str | None:
-    """Return the profile of an MCAP file; None if it is ROS 2, or if it is no such file."""
+    """Return the profile of an MCAP file; None for ROS 2, or if the file is not MCAP."""
     with open_regular(path, "log", LogError) as file:
         found = _MCAP.match(file.read(21))
         profile = file.read(found[1][0]).decode(errors="replace") if found else "ros2"
@@ -81,11 +81,11 @@ def _profile(path: Path) -> str | None:
 
 
 def _read_channels(path: Path, reading: Reading, profile: str) -> LogTable:
-    """Return the columns of an MCAP file of messages in JSON or protobuf, as of Foxglove."""
+    """Read an MCAP file of messages in JSON or protobuf, such as Foxglove's."""
     package = optional_package("mcap_protobuf.decoder", "logs", "MCAP files", LogError)
     factory, make = package.DecoderFactory(), importlib.import_module("mcap.reader").make_reader
     plain = importlib.import_module("google.protobuf.json_format").MessageToDict
-    whole = {"preserving_proto_field_name": True, "always_print_fields_with_no_presence": True}
+    options = {"preserving_proto_field_name": True, "always_print_fields_with_no_presence": True}
 
     def messages(file: Any) -> Iterator[Received]:
         for schema, channel, message in make(file).iter_messages():
@@ -97,7 +97,7 @@ def _read_channels(path: Path, reading: Reading, profile: str) -> LogTable:
                     advice="Of MCAP files other than ROS's, JSON and protobuf are read.",
                 )
             data = message.data
-            read = json.loads(data) if decode is None else plain(decode(data), **whole)
+            read = json.loads(data) if decode is None else plain(decode(data), **options)
             yield channel.topic, schema.name if schema else "json", read, message.log_time
 
     with readable(path, "MCAP file", _REPAIR), open_regular(path, "log", LogError) as file:
@@ -108,31 +108,31 @@ def _read_channels(path: Path, reading: Reading, profile: str) -> LogTable:
 def _base(
     reader: Any, connections: Sequence[Any], method: str, reading: Reading
 ) -> tuple[list[BaseMessages], list[str], set[str]]:
-    """Return data of a free base and its feet, notes, and the names of topics that have them."""
+    """Return the data of a floating base and its feet, notes, and the names of their topics."""
     if not reading.of_base:
         return [], [], set()
-    asked = [name.strip("/") for name in reading.topics]
+    requested = [name.strip("/") for name in reading.topics]
     topics = {c.topic.strip("/"): c for c in connections}
-    kinds = {n: c.msgtype for n, c in topics.items() if n in asked or not WANTED.search(n)}
-    found, others, sources = list[BaseMessages](), list[str](), base_sources(kinds, asked)
+    kinds = {n: c.msgtype for n, c in topics.items() if n in requested or not WANTED.search(n)}
+    base, others, sources = list[BaseMessages](), list[str](), base_sources(kinds, requested)
     for names in sources:
         for k, name in enumerate(names):
-            own = [each for each in connections if each.topic == topics[name].topic]
-            kind, definition = own[0].msgtype, own[0].msgdef
+            matching = [each for each in connections if each.topic == topics[name].topic]
+            kind, definition = matching[0].msgtype, matching[0].msgdef
             decode = getattr(_store(kind, definition.data, definition.format.name), method)
-            rows = _messages(reader, own, decode, BaseMessages(own[0].topic))
+            rows = _messages(reader, matching, decode, BaseMessages(matching[0].topic))
             if rows.groups:
-                found.append(rows)
+                base.append(rows)
                 others += [topics[other].topic for other in names[k + 1 :]]
                 break
-    read = ", ".join(rows.topic for rows in found)
-    notes = [f"base and feet are read from {read}"] if found else []
+    read = ", ".join(rows.topic for rows in base)
+    notes = [f"base and feet are read from {read}"] if base else []
     notes += [f"{', '.join(others)} have the same (--topic)"] if others else []
-    return found, notes, {name for names in sources for name in names}
+    return base, notes, {name for names in sources for name in names}
 
 
 def _storage(path: Path) -> Path:
-    """Return the path for the reader: the folder, or its only file if it was not closed."""
+    """Return the path for the reader: the folder, or its only file if metadata are missing."""
     if not path.is_dir():
         return path
     inside = regular_files((each for each in path.iterdir() if not each.is_dir()), "log", LogError)
@@ -149,7 +149,7 @@ def _storage(path: Path) -> Path:
 
 
 def _probed(reader: Any, connections: Sequence[Any], method: str) -> JointMessages:
-    """Return a topic by its first messages."""
+    """Return a topic with its first messages."""
     name, kind, definition = (getattr(connections[0], x) for x in ("topic", "msgtype", "msgdef"))
     for text in _definitions(kind, definition):
         try:
@@ -157,8 +157,8 @@ def _probed(reader: Any, connections: Sequence[Any], method: str) -> JointMessag
             read = partial(_messages, reader, connections, decode)
             whole = partial(read, JointMessages(name, kind))
             return read(JointMessages(name, kind, whole), _FIRST)
-        except _problems():
-            if kind == JOINT_STATE:  # of others, nothing may be known
+        except _decoding_errors():
+            if kind == JOINT_STATE:  # other types may be unknown
                 raise
     return JointMessages(name, kind)
 
@@ -166,16 +166,16 @@ def _probed(reader: Any, connections: Sequence[Any], method: str) -> JointMessag
 def _messages(
     reader: Any, connections: Sequence[Any], decode: Decoder, found: M, most: int | None = None
 ) -> M:
-    """Return the data in messages of a topic, or in the first of them."""
+    """Add the messages of a topic, at most the first few, to `found`."""
     for connection, received, data in islice(reader.messages(connections=connections), most):
         found.add(decode(data, connection.msgtype), received)
     return found
 
 
 def _definitions(kind: str, definition: Any) -> Sequence[str]:
-    """Return the possible definitions of a message type, if it can be about joints."""
+    """Return the possible definitions of a message type, if it may be about joints."""
     if len(definition.data) > _LONGEST_DEFINITION or _LONG_ARRAY.search(definition.data):
-        return ()  # no message about joints has such a one
+        return ()  # not a message about joints
     numbers = kind == _DYNAMIC_STATE or _NUMBERS.fullmatch(kind)
     if definition.data:
         return (definition.data,) if numbers or _WORDS.search(definition.data) else ()
@@ -185,7 +185,7 @@ def _definitions(kind: str, definition: Any) -> Sequence[str]:
 
 
 def _store(kind: str, definition: str, form: str) -> Any:
-    """Return the decoder of messages, with the bag's own definitions or ROS 2's."""
+    """Return the type store for a message, with the bag's definition or those of ROS 2."""
     typesys = importlib.import_module("rosbags.typesys")
     stores = typesys.Stores
     store = typesys.get_typestore(stores.LATEST if form == "NONE" else stores.EMPTY)
@@ -201,8 +201,8 @@ def _store(kind: str, definition: str, form: str) -> Any:
     return store
 
 
-def _problems() -> tuple[type[Exception], ...]:
-    """Return the errors of unreadable types and of messages that do not fit their type."""
+def _decoding_errors() -> tuple[type[Exception], ...]:
+    """Return the exceptions for unreadable types, and for messages that do not fit their type."""
     serde, typesys = map(importlib.import_module, ("rosbags.serde", "rosbags.typesys"))
     return serde.SerdeError, typesys.TypesysError, LogError, TypeError, ValueError, RecursionError
 
@@ -211,14 +211,14 @@ MAGIC = b"\xed\xa1\xda\x01"
 """Magic number at the start of each event."""
 
 _NEGATIVE = ("lcmt_iiwa_status",)
-"""Types whose torques have the opposite sign to Drake's, by definition."""
+"""Types whose torques are defined with the opposite sign to Drake's."""
 
-_EVENT = struct.Struct(">4sQQII")  # begin, number, time, and lengths of a channel and its message
-_FINGERPRINT = 8  # bytes of the type at the beginning of a message
+_EVENT = struct.Struct(">4sQQII")  # magic, number, time, lengths of channel name and message
+_FINGERPRINT = 8  # bytes that identify the type of a message
 
 
 def read_lcm(path: Path, reading: Reading) -> LogTable:
-    """Return the columns of an LCM log, of channels that are known by their messages' types."""
+    """Read the channels of an LCM log whose message types are known."""
     with readable(path, "LCM log"), open_regular(path, "log", LogError) as file:
         if file.read(len(MAGIC)) != MAGIC:
             raise LogError(
@@ -229,25 +229,25 @@ def read_lcm(path: Path, reading: Reading) -> LogTable:
             topics = _channels(log)
     chosen = chosen_topics(path, topics, reading)
     table = topics_table(path, chosen, topics, reading)
-    turned = dict.fromkeys(topic.kind for topic in chosen if topic.kind in _NEGATIVE)
-    notes = [f"efforts have the opposite sign, as {kind} defines torques" for kind in turned]
+    negated = dict.fromkeys(topic.kind for topic in chosen if topic.kind in _NEGATIVE)
+    notes = [f"efforts have the opposite sign, as {kind} defines torques" for kind in negated]
     return replace(table, notes=(*table.notes, *notes))
 
 
 def _channels(log: mmap) -> list[JointMessages]:
-    """Return all channels with the content of their messages; one cut off at the end is left."""
+    """Return all channels with their messages, ignoring a truncated one at the end."""
     kinds = [getattr(importlib.import_module("drake"), name) for name in LCM_TYPES]
     types = {kind._get_packed_fingerprint(): kind for kind in kinds}
     topics: dict[str, JointMessages] = {}
-    at = 0
-    while 0 <= at <= len(log) - _EVENT.size:
-        _, number, received, of_name, of_message = _EVENT.unpack_from(log, at)
-        begin = at + _EVENT.size + of_name
-        name = log[at + _EVENT.size : begin].decode(errors="replace")
+    offset = 0
+    while 0 <= offset <= len(log) - _EVENT.size:
+        _, number, received, name_length, message_length = _EVENT.unpack_from(log, offset)
+        begin = offset + _EVENT.size + name_length
+        name = log[offset + _EVENT.size : begin].decode(errors="replace")
         kind: Any = types.get(log[begin : begin + _FINGERPRINT])
-        if (end := begin + of_message) > len(log):
+        if (end := begin + message_length) > len(log):
             break
-        at = log.find(MAGIC, end)
+        offset = log.find(MAGIC, end)
         if kind is None:
             topics.setdefault(name, JointMessages(name, "another type"))
             continue

@@ -1,4 +1,4 @@
-"""Messages about joints, in ROS as in LCM, and about a free base: their fields, as columns."""
+"""Convert messages of ROS and LCM about joints and a floating base to columns."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from geodrake.logs.motion import EFFORT_KINDS, QUANTITIES
 
 Stamps = NDArray[np.int64]
 Clock = tuple[Stamps, Stamps]
-"""(N,) when messages were measured, and (N,) when they were received, ns."""
+"""Times (N,) of measurement and (N,) of receipt of messages, ns."""
 
 
 def is_complete(quantities: Iterable[str]) -> bool:
-    """Return whether positions and something of efforts are among quantities."""
-    known = set(quantities)
-    return "position" in known and not known.isdisjoint((*EFFORT_KINDS, "command"))
+    """Return whether quantities include positions, and efforts or commands."""
+    present = set(quantities)
+    return "position" in present and not present.isdisjoint((*EFFORT_KINDS, "command"))
 
 
 def on_clock(table: LogTable, clock: Clock | None) -> LogTable:
-    """Return a table of times of receipt, at stamps that others had when they were received."""
+    """Convert times of receipt to the measurement clock of other messages, by a linear fit."""
     if clock is None or len(clock[0]) < 2:
         return table
     stamps, received = clock
@@ -52,45 +52,45 @@ _LATEST = 1 << 62
 """Upper bound of stamps, ns since 1970: the year 2116; differences fit 64 bits."""
 
 NUMBERS = "data"
-"""Names of numbers that do not tell their quantity."""
+"""Field of numbers whose quantity is not named."""
 
 _NAMES = ("name", "names", "joint_name", "joint_names")
-_OUTPUT = "output.effort"  # of a controller, where nobody measures
-_POINTS = "points."  # of a trajectory, which joints are told
-_LAYOUT = "layout.data_offset"  # beside numbers of any meaning
+_OUTPUT = "output.effort"  # output of a controller
+_POINTS = "points."  # commanded trajectory
+_LAYOUT = "layout.data_offset"  # field of arrays of any meaning
 
 
 Owners = tuple[Any, ...]
-"""The joints, or the frame, that a message is about."""
+"""Joints or frame of a message."""
 
 Said = tuple[Owners, Mapping[str, Any], Any]
-"""Joints or a frame, their numbers by quantity, and the part of the message with its stamp."""
+"""Owners, their numbers by quantity, and the part of the message with its stamp."""
 
 Key = tuple[Owners, tuple[str, ...]]
-"""Joints or frame, and quantities, that messages of a group have in common."""
+"""Owners and quantities common to a group of messages."""
 
 
 @dataclass
 class Messages:
-    """Numbers of messages of one topic, in groups of those with the same columns."""
+    """Numbers in the messages of one topic, grouped by equal columns."""
 
     topic: str
-    kind: str = ""  # the type of its messages
+    kind: str = ""  # type of the messages
     count: int = field(default=0, init=False)
     groups: dict[Key, bytearray] = field(default_factory=dict, init=False)
 
     def said(self, message: Any) -> Iterable[Said]:
-        """Return what a message says of joints or of frames."""
+        """Return the data of joints or frames in a message."""
         raise NotImplementedError
 
     def column(self, owner: Hashable, name: str) -> str:
-        """Return the name of the column of what a joint or a frame has."""
+        """Return the column name of a quantity of a joint or a frame."""
         return name
 
     def add(self, message: Any, received: int) -> None:
-        """Take the numbers of a message that was received at a time, ns."""
+        """Add a message, received at a time in ns."""
         self.count += 1
-        for owners, found, part in self.said(message):
+        for owners, numbers, part in self.said(message):
             times = stamp_of(part), received
             if not max(map(abs, times)) < _LATEST:
                 raise LogError(
@@ -99,31 +99,31 @@ class Messages:
                     "impossible.",
                     advice="Check the clock of the recorder, or remove that message.",
                 )
-            group = self.groups.setdefault((owners, tuple(found)), bytearray())
+            group = self.groups.setdefault((owners, tuple(numbers)), bytearray())
             group += np.array(times, np.int64).tobytes()
-            group += np.array([*found.values()], float).tobytes()
+            group += np.array([*numbers.values()], float).tobytes()
 
     def rows(self, key: Key) -> NDArray[np.void]:
-        """Return the messages of a group: when they were measured and received, and `numbers`."""
+        """Return the messages of a group, with the fields `stamp`, `received` and `numbers`."""
         owners, names = key
         numbers = ("numbers", float, (len(owners) * len(names),))
         kind = np.dtype([("stamp", np.int64), ("received", np.int64), numbers])
         return np.frombuffer(self.groups[key], kind)
 
     def tables_of(self, keys: Iterable[Key], *, shared: bool = True) -> list[LogTable]:
-        """Return the columns of some groups, with `time`: one table for each set of instants.
+        """Return some groups as one table for each set of time stamps.
 
-        Where they are not `shared`, each joint or frame has a table of its own.
+        Unless tables are `shared`, each joint or frame has its own.
         """
-        found = defaultdict[Hashable, list[tuple[Stamps, dict[str, Array]]]](list)
+        parts_of = defaultdict[Hashable, list[tuple[Stamps, dict[str, Array]]]](list)
         for owners, names in keys:
             rows = self.rows((owners, names))
             for k, owner in enumerate(owners):
                 numbers = zip(names, rows["numbers"].T[k :: len(owners)], strict=True)
                 own = {self.column(owner, name): values for name, values in numbers}
-                found[owner].append((rows[self.when], own))
+                parts_of[owner].append((rows[self.when], own))
         tables: dict[Hashable, LogTable] = {}
-        for owner, parts in found.items():
+        for owner, parts in parts_of.items():
             stamped, first = np.unique(np.concatenate([s for s, _ in parts]), return_index=True)
             time = {"time": (stamped - stamped[0]) / 1e9}
             new = LogTable(Path(str(owner)), time, origins={"time": int(stamped[0])})
@@ -141,12 +141,12 @@ class Messages:
 
     @property
     def when(self) -> str:
-        """The time that counts: of measurement, if all messages have it, or of receipt."""
+        """Time in use: `stamp` if all messages have one, else `received`."""
         return "received" if self.clock is None else "stamp"
 
     @property
     def clock_notes(self) -> tuple[str, ...]:
-        """Return that messages have no stamps, in words, if they have not."""
+        """Notes on messages without stamps."""
         if self.clock is not None:
             return ()
         some = "some messages" if (self._times("stamp") > 0).any() else "messages"
@@ -157,31 +157,31 @@ class Messages:
 
 
 WANTED = re.compile(r"command|cmd|goal|target|desired|reference|setpoint", re.IGNORECASE)
-"""Words in names of topics of what joints are told."""
+"""Words in names of topics of commands."""
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
-"""Type of messages for the state of joints, and nothing else, in ROS."""
+"""Type of messages for joint states in ROS."""
 
 LCM_TYPES = ("lcmt_iiwa_status", "lcmt_jaco_status", "lcmt_panda_status")
-"""Types of messages for the state of joints, and nothing else, in LCM."""
+"""Types of messages for joint states in LCM."""
 
 
 @dataclass
 class JointMessages(Messages):
-    """The joint data in messages of one topic of a bag, or of a channel of LCM."""
+    """Joint data in the messages of a topic, or of a channel of LCM."""
 
-    # What reads all messages, where these are the first of them.
+    # Function that reads all messages, if only the first ones were read.
     read: Callable[[], JointMessages] | None = None
-    # Whether efforts are those of a controller.
+    # Whether efforts are the output of a controller.
     from_controller: bool = field(default=False, init=False)
 
     def said(self, message: Any) -> Iterator[Said]:
-        """Yield what a message says of joints; those without names are numbers from 0 on."""
+        """Yield the data of joints in a message; unnamed joints are numbered from 0."""
         fields, found = dict(fields_of(_plain(message))), dict[str, Array]()
         joints: Owners = ()
-        for quantity, paths in _places(tuple(fields)).items():
+        for quantity, paths in _fields_of_quantities(tuple(fields)).items():
             for path in paths:
-                values = _of_joints(fields[path], quantity)
+                values = _joint_values(fields[path], quantity)
                 if len(values) and not (isnan(values[0]) and np.isnan(values).all()):
                     found[quantity] = values
                     self.from_controller |= path == _OUTPUT
@@ -205,56 +205,56 @@ class JointMessages(Messages):
         yield joints, found, message
 
     def column(self, owner: Hashable, name: str) -> str:
-        """Return `<joint>.<quantity>`, or `position[0]` of a joint without a name."""
+        """Return `<joint>.<quantity>`, or `<quantity>[<number>]` of an unnamed joint."""
         return f"{name}[{owner}]" if isinstance(owner, int) else f"{owner}.{name}"
 
     @property
     def quantities(self) -> frozenset[str]:
-        """Return the quantities of joints in one message."""
-        best = max((q for _, q in self.groups), key=lambda q: (is_complete(q), len(q)), default=())
-        return frozenset(best)
+        """Quantities in the most complete messages."""
+        most = max((q for _, q in self.groups), key=lambda q: (is_complete(q), len(q)), default=())
+        return frozenset(most)
 
     @property
     def fits(self) -> bool:
-        """Whether it has positions and efforts, or commands in the place of these."""
+        """Whether the topic has positions, and efforts or commands."""
         return is_complete(self.quantities)
 
     @property
     def is_wanted(self) -> bool:
-        """Whether positions in it are what joints are told, by its name."""
+        """Whether positions are commands, according to the name of the topic."""
         return bool(WANTED.search(self.topic))
 
     @property
     def made_for_joints(self) -> bool:
-        """Whether its type is for the state of joints, and nothing else."""
+        """Whether the type of messages is only for joint states."""
         return self.kind in LCM_TYPES or (self.kind == JOINT_STATE and not self.is_wanted)
 
     @property
     def part(self) -> frozenset[str]:
-        """Quantities that it can add to a joined log; a requested topic also has commands."""
-        found = self.quantities
-        if NUMBERS in found:
+        """Quantities that the topic contributes to a joined log."""
+        present = self.quantities
+        if NUMBERS in present:
             meaning = meaning_of(f"{self.topic}/{NUMBERS}[0]")
             return frozenset(() if meaning is None else (meaning.quantity,))
-        return frozenset(("command",)) if self.is_wanted and "position" in found else found
+        return frozenset(("command",)) if self.is_wanted and "position" in present else present
 
     @property
     def has_efforts(self) -> bool:
-        """Whether efforts, or signals that replace them, are among these."""
+        """Whether these include efforts or signals that replace them."""
         return not self.part.isdisjoint(EFFORT_KINDS)
 
     def __str__(self) -> str:
-        told = [q for q in (*QUANTITIES, *EFFORT_KINDS[1:]) if q in self.part]
-        words = f", {len(self.joints)} joints with {', '.join(told)}" if told else ""
+        listed = [q for q in (*QUANTITIES, *EFFORT_KINDS[1:]) if q in self.part]
+        words = f", {len(self.joints)} joints with {', '.join(listed)}" if listed else ""
         return f"{self.topic} ({self.kind}{words})"
 
     @property
     def joints(self) -> Owners:
-        """All joints, in the order in which they appear."""
+        """All joints, in order of appearance."""
         return tuple(dict.fromkeys(joint for joints, _ in self.groups for joint in joints))
 
     def tables(self, *, part: bool = False) -> list[LogTable]:
-        """Return the data as tables; joints without effort are kept in a part of a log."""
+        """Return the data as tables; joints without effort are kept only in a part of a log."""
         groups = [key for key in self.groups if (key[1] if part else is_complete(key[1]))]
         notes = list[str]()
         if len({joints for joints, _ in groups}) > len({frozenset(joints) for joints, _ in groups}):
@@ -281,7 +281,7 @@ class JointMessages(Messages):
 
 
 def stamp_of(message: Any) -> int:
-    """Return the time stamp of a message of ROS, LCM or JSON, ns; 0 if it has none."""
+    """Return the time stamp (ns) of a message of ROS, LCM or JSON, or 0."""
     stamp = _field(_field(message, "header") or message, "stamp")
     seconds = _field(stamp, "sec", "secs")
     if seconds is None:
@@ -290,7 +290,7 @@ def stamp_of(message: Any) -> int:
 
 
 def _field(message: Any, *names: str) -> Any:
-    """Return the first of some fields that a message, an object or of JSON, has; else None."""
+    """Return the first existing field among some names, of an object or a dict; else None."""
     for name in names:
         value = message.get(name) if isinstance(message, dict) else getattr(message, name, None)
         if value is not None:
@@ -302,14 +302,14 @@ _LEAVES = (str, int, float, np.ndarray)
 
 
 def _plain(message: Any) -> Any:
-    """Return a message, and those in it, as mappings of their fields other than headers.
+    """Convert a message and nested ones to dicts without headers.
 
-    A list of messages, one for each motor, has lists by field; one of names and values has these.
+    A list of messages becomes a dict of lists; a message of names and values, a dict of these.
     """
     if isinstance(message, _LEAVES):
         return message
     if isinstance(message, list):
-        if message and all(isinstance(value, float | int) for value in message):  # of JSON
+        if message and all(isinstance(value, float | int) for value in message):  # in JSON
             return np.array(message, float)
         first = _plain(message[0]) if message else None
         if not isinstance(first, dict):
@@ -319,45 +319,45 @@ def _plain(message: Any) -> Any:
         return {name: [row.get(name, np.nan) for row in rows] for name in names}
     if (names := _field(message, "interface_names")) is not None:
         return dict(zip(names, _field(message, "values"), strict=True))
-    own = message if isinstance(message, dict) else getattr(message, "__dict__", None)
-    own = own or {name: getattr(message, name) for name in getattr(message, "__slots__", ())}
-    return {str(n): _plain(x) for n, x in own.items() if n != "header"} if own else message
+    fields = message if isinstance(message, dict) else getattr(message, "__dict__", None)
+    fields = fields or {name: getattr(message, name) for name in getattr(message, "__slots__", ())}
+    return {str(n): _plain(x) for n, x in fields.items() if n != "header"} if fields else message
 
 
 def _numbers_of_joints(fields: Mapping[str, Any]) -> tuple[Owners, dict[str, Array]] | None:
-    """Return joints and their quantities from a message with one named part for each joint."""
-    found = defaultdict[str, dict[str, float]](dict)
+    """Return the joints and quantities of a message with a named part for each joint."""
+    values_of = defaultdict[str, dict[str, float]](dict)
     for path, meaning in _parts_of_joints(tuple(fields)).items():
         if isinstance(fields[path], float | int):
-            found[meaning.quantity][meaning.joint] = fields[path]
-    joints = tuple(found.get("position", ()))
-    whole = {q: np.array([*x.values()]) for q, x in found.items() if tuple(x) == joints}
-    return (joints, whole) if is_complete(whole) else None
+            values_of[meaning.quantity][meaning.joint] = fields[path]
+    joints = tuple(values_of.get("position", ()))
+    complete = {q: np.array([*x.values()]) for q, x in values_of.items() if tuple(x) == joints}
+    return (joints, complete) if is_complete(complete) else None
 
 
 @lru_cache(1024)
 def _parts_of_joints(paths: tuple[str, ...]) -> dict[str, Meaning]:
-    """Return the fields of a message that belong to joints by their names, with their meanings."""
+    """Return the fields of a message that name joints, with their meanings."""
     told = {path: meaning_of(path.replace(".", "/")) for path in paths}
     return {p: m for p, m in told.items() if m and m.role <= PLAIN and m.joint not in (*"xyzw", "")}
 
 
-def _of_joints(values: Any, quantity: str) -> Array:
-    """Return numbers (n,) of joints, of several temperatures of each the first; (0,) for others."""
+def _joint_values(values: Any, quantity: str) -> Array:
+    """Return the numbers (n,) of joints, with one temperature each; (0,) for other values."""
     array = array_of(values)
     if array.ndim == 2 and quantity == "temperature":
         array = array[:, 0]
-    elif array.ndim == 2 and len(array) == 1:  # as of a trajectory of one point
+    elif array.ndim == 2 and len(array) == 1:  # trajectory of one point
         array = array[0]
     return array if array.ndim == 1 and array.dtype.kind in "fiu" else np.zeros(0)
 
 
 @lru_cache(1024)
-def _places(paths: tuple[str, ...]) -> dict[str, list[str]]:
-    """Return the fields of a message that may have each quantity, the best first.
+def _fields_of_quantities(paths: tuple[str, ...]) -> dict[str, list[str]]:
+    """Return quantity -> fields of a message that may contain it, best first.
 
-    Positions that are wanted are commands, which stand for efforts that nobody measures; numbers of
-    which the message says no more are `NUMBERS`.
+    Target positions are commands, which may replace efforts. Numbers without a quantity are stored
+    as `NUMBERS`.
     """
     ranked = defaultdict[str, list[tuple[int, str]]](list)
     for path in paths:
@@ -381,27 +381,27 @@ _WORLDS = ("world", "map", "odom")
 
 
 def base_sources(kinds: Mapping[str, str], named: Sequence[str]) -> list[list[str]]:
-    """Return topics of the pose of a base, of its IMU and of each foot, the best of a source first.
+    """Return the topics of the pose of a base, its IMU and each foot, best first in each source.
 
-    `kinds` are the types of topics; those that are `named` are the only ones of their source.
+    `kinds` maps topics to types. A `named` topic excludes the others of its source.
     """
-    found = []
+    sources = []
     for source in _SOURCES:
-        able = [name for name, kind in kinds.items() if kind in source]
-        moving = [name for name in able if not name.endswith("tf_static")]
-        of_base = [n for n in moving if "/Pose" not in kinds[n] or IS_BASE.search(n)]
-        able = [name for name in able if name in named] or of_base
-        able.sort(key=lambda n: (source.index(kinds[n]), IS_BASE.search(n) is None))
-        found += [able] if source != _SOURCES[-1] else [[name] for name in able]
-    return found
+        topics = [name for name, kind in kinds.items() if kind in source]
+        dynamic = [name for name in topics if not name.endswith("tf_static")]
+        of_base = [n for n in dynamic if "/Pose" not in kinds[n] or IS_BASE.search(n)]
+        topics = [name for name in topics if name in named] or of_base
+        topics.sort(key=lambda n: (source.index(kinds[n]), IS_BASE.search(n) is None))
+        sources += [topics] if source != _SOURCES[-1] else [[name] for name in topics]
+    return sources
 
 
 @dataclass
 class BaseMessages(Messages):
-    """The data of a floating base, its IMU, or forces at feet in messages of one topic."""
+    """Data of a floating base, its IMU, or forces at feet in the messages of one topic."""
 
     def said(self, message: Any) -> Iterator[Said]:
-        """Yield what a message says of frames, which may be several."""
+        """Yield the data of each frame in a message."""
         for part, frame in _frames(message):
             fields = dict(fields_of(_plain(part)))
             called = frame or self.topic.strip("/").rpartition("/")[0]
@@ -409,7 +409,7 @@ class BaseMessages(Messages):
                 yield (frame,), {name: fields[path] for name, path in told.items()}, part
 
     def tables(self) -> list[LogTable]:
-        """Return a table for each frame, whose orientations turn the shorter way."""
+        """Return a table for each frame, with continuous quaternions."""
         found = self.tables_of(self.groups, shared=False)
         for table in found:
             turned = [n for n in table.columns if n.startswith("base.orientation")]
@@ -420,7 +420,7 @@ class BaseMessages(Messages):
 
 
 def _frames(message: Any) -> Iterator[tuple[Any, str]]:
-    """Return the part of a message about a frame, and the frame's name."""
+    """Yield the parts of a message about base frames, and the frames' names."""
     if not hasattr(message, "transforms"):
         yield message, message.header.frame_id.strip("/").rpartition("/")[2]
     for each in getattr(message, "transforms", ()):
@@ -432,10 +432,10 @@ def _frames(message: Any) -> Iterator[tuple[Any, str]]:
 
 @lru_cache(1024)
 def _floating(paths: tuple[str, ...], frame: str) -> dict[str, str]:
-    """Return columns of a free base, an IMU or a foot, and the fields of a message for them."""
+    """Return column -> field of a message, for a floating base, an IMU or a foot."""
     heads = {path.partition(".")[0] for path in paths}
     kind = "imu" if "linear_acceleration" in heads else "foot" if "wrench" in heads else "base"
-    found = {path: m.quantity for path in paths if (m := floating_meaning(f"{kind}.{path}"))}
+    names = {path: m.quantity for path in paths if (m := floating_meaning(f"{kind}.{path}"))}
     if kind != "foot":
-        return {name: path for path, name in found.items()}
-    return {f"{frame}{name.removeprefix(kind)}": path for path, name in found.items()}
+        return {name: path for path, name in names.items()}
+    return {f"{frame}{name.removeprefix(kind)}": path for path, name in names.items()}

@@ -1,9 +1,8 @@
-"""Rules for names of columns: quantity, joint, unit, and whether it was measured.
+"""Rules that parse column names: quantity, joint, unit, and whether it was measured.
 
-Loggers name columns as they like: `actual_q_0`, `tau_J[0]`, `/joint_states/elbow/effort`. `RULES`
-for such names are asked one after the other, and know the words in `words.yaml`.
-
-Joints of a model are matched by their names, by names that end alike, and by numbers.
+Every logger has its own names: `actual_q_0`, `tau_J[0]`, `/joint_states/elbow/effort`. `RULES` are
+tried in order, with the vocabulary in `words.yaml`. Columns are then matched to the joints of a
+model by name, by the last words of names, and by number.
 """
 
 from __future__ import annotations
@@ -21,10 +20,10 @@ from geodrake.logs.motion import EFFORT_KINDS, PARTIAL, PASSIVE, QUANTITIES, SIG
 Words = tuple[str | int, ...]
 
 PART = "part of a second"
-"""Quantity of a column beside one of whole seconds, such as nanoseconds."""
+"""Quantity of a column of fractions of a second, such as nanoseconds."""
 
 OF_JOINTS = (*QUANTITIES, *SIGNAL_KINDS, PASSIVE)
-"""Quantities of a joint's column."""
+"""Quantities of joints."""
 
 
 def _words(kind: str) -> frozenset[str]:
@@ -32,14 +31,14 @@ def _words(kind: str) -> frozenset[str]:
 
 
 def by_word(said: Mapping[str, str]) -> dict[str, str]:
-    """Return the meaning of each word in lists of words."""
+    """Invert a mapping of meanings to lists of words."""
     return {word: what for what, words in said.items() for word in words.split()}
 
 
 QUANTITY_WORDS: Mapping[str, str] = by_word(WORDS["quantities"])
 """Words that name a quantity."""
 
-_QUALIFIES = "load"  # a position or a velocity, as well as it is a torque
+_QUALIFIES = "load"  # may qualify a position or a velocity, besides meaning a torque
 _DERIVED = {"dot": {"position": "velocity"}, "ddot": {"position": "acceleration"}}
 _CURRENT = WORDS["quantities"]["current"].split()
 MEASURED, PLAIN, MOTOR, DESIRED, PREVIOUS, OTHER = range(6)
@@ -47,11 +46,11 @@ ROLE_WORDS: Mapping[str, int] = {
     word: ("measured", "", "motor", "desired", "previous", "other").index(role)
     for word, role in by_word(WORDS["roles"]).items()
 }
-"""Words that show whether a column was measured at the joint, by preference."""
+"""Words that show whether a column was measured at the joint, with their rank."""
 
 ROLES = ("measured", "", "of motors", "desired", "of the row before", "of something else")
 MAPPED = ("mapped",)
-"""The style of columns that the user named."""
+"""Style of columns that the user mapped."""
 
 _COMMAND, SHORT, _FILLERS = map(_words, ("commands", "short", "fillers"))
 _FLAGS, _COUNTED, _STATES = map(_words, ("flags", "counted", "states"))
@@ -59,278 +58,276 @@ _NO_SIGNAL, _SUPPLY, _NAMING = map(_words, ("no_signal", "supply", "naming"))
 _TIMES, _NANOSECONDS, _SAMPLES = map(_words, ("times", "nanoseconds", "samples"))
 _COUNTING = _words("counting")
 PAIRS = _words("pairs")
-"""Words that tell two robots apart."""
+"""Words that distinguish two robots."""
 
 _GRIPPERS, _FINGERS = map(_words, ("grippers", "fingers"))
 _SIDES = by_word(WORDS["sides"])
 _TIME_OF_DAY = _TIMES - {"date"}
 _BESIDE_TIME = _TIMES | _NANOSECONDS | _words("beside_time")
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[^\W\d_A-Z]+|[A-Z]+|\d+")
-_INCREMENTAL = ("inc", "cnt", "qc")  # a kind of encoder, where they stand in no brackets
+_INCREMENTAL = ("inc", "cnt", "qc")  # units in brackets, otherwise an encoder type
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 _REWRITTEN = [(re.compile(form), meant) for form, meant in WORDS["rewritten"].items()]
-_GROUP = re.compile(r"(?<=.)[/.](?![^(\[]*[)\]])")  # behind a name that stands in no brackets
+_GROUP = re.compile(r"(?<=.)[/.](?![^(\[]*[)\]])")  # separator outside of brackets
 _BRACKETS = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
 _FRONT = re.compile(r"[\[(]([^\])]+)[\])]\s*(.+)")
 _APART = re.compile(r"\s+(?:/|in|-(?=\s+\S\S))\s+|,\s*")  # `pos - A` may be of joint A
 _FURTHER_SENSOR = re.compile(r"\][./]temperature\[[1-9]\d*\]$")
-_FORMS = str.maketrans(  # of brackets, and of symbols of quantities and their derivatives
+_FORMS = str.maketrans(  # variants of brackets and digits, and symbols of quantities
     dict(zip("（）［］【】｛｝₀₁₂₃₄₅₆₇₈₉", "()[][]{}0123456789", strict=True))
     | {"θ": "theta", "φ": "angle", "ω": "omega", "τ": "tau", "\u0307": "_dot", "\u0308": "_ddot"}
 )
-_UNSPACED = re.compile(  # words between which no blanks are written
+_UNSPACED = re.compile(  # words of languages without blanks
     "|".join(
         sorted(re.findall(r"[\u3040-\u30ff\u4e00-\u9fff]+", str(WORDS)), key=len, reverse=True)
     )
 )
 _ROMAN = re.compile(r"(?<![A-Z\d])[IVX]+(?![A-Za-z\d])")
 _NUMERALS = WORDS["numerals"].split()
-_NO_WORD = "zzz"  # which says nothing
-_FEW_OF_FAMILY = 3  # words that are enough
-_LONGEST_NAME = 200  # letters of a name of words
+_NO_WORD = "zzz"  # placeholder without a meaning
+_FEW_OF_FAMILY = 3  # words needed to recognize a family
+_LONGEST_NAME = 200  # characters of a name that is parsed
 
 
 @dataclass(frozen=True)
 class Meaning:
-    """The meaning of a column by its name."""
+    """Meaning of a column according to its name."""
 
     column: str
     quantity: str  # time, `PART`, or of `OF_JOINTS`
-    joint: str = ""  # what the name calls the joint; "" if it has a number at most
-    words: Words = ()  # the words of that, without those that say nothing, and its number
+    joint: str = ""  # name of the joint in the column name; "" if there is at most a number
+    words: Words = ()  # the distinctive words and the number of the joint
     role: int = PLAIN
     unit: Unit | None = None
-    # What columns have in common whose joints are told apart by words alone, and by their groups.
+    # Common to columns that differ only in the words and groups of their joints.
     style: tuple[str, ...] = ()
-    group: Words = ()  # the words of groups that the column is in, as in `left/joint_states/q[0]`
-    is_wanted: bool = False  # whether it is what was asked for, and not what was
-    gain: float = 1.0  # what its numbers are multiplied by, beside the unit
-    beside: Meaning | None = None  # column of what is to be added to time, such as nanoseconds
+    group: Words = ()  # the words of enclosing groups, as in `left/joint_states/q[0]`
+    is_wanted: bool = False  # whether it is a target rather than a measurement
+    gain: float = 1.0  # factor in addition to the unit
+    beside: Meaning | None = None  # column of fractions of a second to add to time
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Columns of the file."""
+        """Names of the columns in the file."""
         return (self.column,) if self.beside is None else (self.column, self.beside.column)
 
     @property
     def factor(self) -> float:
-        """Factor that converts its numbers to SI units."""
+        """Factor that converts numbers to SI units."""
         return self.gain * (self.unit.factor if self.unit else 1.0)
 
     @property
     def offset(self) -> float:
-        """Offset that is added to its numbers after the factor."""
+        """Offset added after the factor, in SI units."""
         return self.gain * self.unit.offset if self.unit else 0.0
 
     @property
     def log_quantity(self) -> str:
-        """The quantity of a log that it may be: efforts have several kinds."""
+        """Quantity of a log; all kinds of efforts are `effort`."""
         return "effort" if self.quantity in EFFORT_KINDS else self.quantity
 
     @property
     def is_bare(self) -> bool:
-        """Whether it has a quantity of a joint, but no joint name."""
+        """Whether the column has a quantity of a joint, but neither name nor number of one."""
         return self.quantity in OF_JOINTS and not (self.words or self.joint)
 
     @property
     def number(self) -> int | None:
-        """The number of the joint, if its name is only a number."""
+        """Number of the joint, if its name is only a number."""
         only = self.words[0] if len(self.words) == 1 else None
         return only if isinstance(only, int) else None
 
 
 @lru_cache(maxsize=10_000)
 def meaning_of(name: str) -> Meaning | None:
-    """Return the meaning of a column name; None if it is neither of a joint nor time."""
-    own = _own(name)
-    if own is not None or len(name) > _LONGEST_NAME:
-        return own
+    """Return the meaning of a column name; None if it is neither a joint's quantity nor time."""
+    native = _native(name)
+    if native is not None or len(name) > _LONGEST_NAME:
+        return native
     plain = _in_brackets(_UNSPACED.sub(r" \g<0> ", name.translate(_FORMS)).strip())
-    found = next((found for rule in RULES if (found := rule(plain)) is not None), None)
-    return None if found is None else replace(found, column=name)
+    meaning = next((meaning for rule in RULES if (meaning := rule(plain)) is not None), None)
+    return None if meaning is None else replace(meaning, column=name)
 
 
 def meanings_of(names: Iterable[str], joints: Sequence[str] = ()) -> list[Meaning]:
-    """Return the meanings of columns whose names have one.
+    """Return the meanings of the columns whose names have one.
 
-    A letter that is a unit of what the name says, as in `cur_A`, is no joint if neither the model
-    nor another column has it. A column with the whole name of a joint of the model is of it,
-    whatever else words of this say, such as `base` and `wrist_angle`.
+    A letter that is a unit, as in `cur_A`, names no joint unless the model or another column has
+    that joint. The full name of a model's joint takes precedence over the meanings of its words,
+    as in `wrist_angle`.
     """
     names = list(names)
-    whole = {_split(joint): joint for joint in joints if _has_name(joint)}
+    full_names = {_split(joint): joint for joint in joints if _has_name(joint)}
     roman = _roman_numbers(names)
     of_model = {number: joint for joint, (_, number) in _roman_numbers(joints).items()}
-    found = list[Meaning]()
+    meanings = list[Meaning]()
     for name in names:
         plain, number = roman.get(name, (name, 0))
         others = {_Q.sub("d", plain), plain.replace("current", "voltage")} - {plain}
         if "current" in plain and not others.isdisjoint(names):
-            plain = _Q.sub(
-                "iq", plain
-            )  # an axis of currents, as d, or of voltages is, and no place
-        if (told := _of_joint(name, whole) or meaning_of(plain) or meaning_of(name)) is None:
+            plain = _Q.sub("iq", plain)  # q-axis current beside d, not a position
+        if (parsed := _of_joint(name, full_names) or meaning_of(plain) or meaning_of(name)) is None:
             continue
-        if number and told.quantity in OF_JOINTS and not told.joint:
+        if number and parsed.quantity in OF_JOINTS and not parsed.joint:
             joint = of_model.get(number, f"joint_{_NUMERALS[number - 1]}")
-            words = words_of(joint) if number in of_model else told.words
-            told = replace(told, joint=joint, words=words)
-        found.append(replace(told, column=name))
+            words = words_of(joint) if number in of_model else parsed.words
+            parsed = replace(parsed, joint=joint, words=words)
+        meanings.append(replace(parsed, column=name))
     units = _units_of_family(names)
-    for k, meaning in enumerate(found):
-        if meaning.unit is None and (said := units.get(meaning.quantity)) is not None:
-            found[k] = replace(meaning, unit=find_unit(said, meaning.quantity))
-    again = {name.removesuffix(".1") for name in names if name.endswith(".1")}
-    for k, meaning in enumerate(found):
-        if meaning.column in again and meaning.is_bare:  # the first of those that pandas numbers
-            found[k] = replace(meaning, words=(0,))
-    counts = Counter(meaning.words for meaning in found)
-    for k, meaning in enumerate(found):
+    for k, meaning in enumerate(meanings):
+        if meaning.unit is None and (unit_text := units.get(meaning.quantity)) is not None:
+            meanings[k] = replace(meaning, unit=find_unit(unit_text, meaning.quantity))
+    duplicated = {name.removesuffix(".1") for name in names if name.endswith(".1")}
+    for k, meaning in enumerate(meanings):
+        if meaning.column in duplicated and meaning.is_bare:  # pandas numbers only later duplicates
+            meanings[k] = replace(meaning, words=(0,))
+    counts = Counter(meaning.words for meaning in meanings)
+    for k, meaning in enumerate(meanings):
         is_known = meaning.joint in joints or meaning.style[:1] == ("own",)
         is_letter = len(meaning.joint) == 1 and not is_known
         unit = find_unit(meaning.joint, meaning.quantity) if is_letter else None
         if unit is not None and counts[meaning.words] == 1:
-            found[k] = replace(meaning, joint="", words=(), unit=unit)
-    return found
+            meanings[k] = replace(meaning, joint="", words=(), unit=unit)
+    return meanings
 
 
 def joint_columns(names: Iterable[str], joints: Sequence[str] = ()) -> list[Meaning]:
-    """Return the meanings of columns that have a quantity of a joint."""
+    """Return the meanings of the columns with a quantity of a joint."""
     return [m for m in meanings_of(names, joints) if m.quantity in OF_JOINTS]
 
 
 def as_positions(names: Iterable[str], joints: Sequence[str]) -> list[Meaning]:
-    """Return the columns that are called only as joints of a model, or as `joint` and number."""
-    called = {words_of(joint): joint for joint in joints if _has_name(joint)}
+    """Interpret columns named only like joints, or `joint` with a number, as positions."""
+    joint_of = {words_of(joint): joint for joint in joints if _has_name(joint)}
     found = []
     for name in names:
-        words, own = _split(name), called.get(words_of(name), "")
-        said = {w for w in words[:-1] if w not in ROLE_WORDS and w not in _STATES}
-        is_counted = bool(said) and _COUNTED.issuperset(said) and isinstance(words[-1], int)
-        if (own or is_counted) and meaning_of(name) is None:
+        words, joint = _split(name), joint_of.get(words_of(name), "")
+        context = {w for w in words[:-1] if w not in ROLE_WORDS and w not in _STATES}
+        is_counted = bool(context) and _COUNTED.issuperset(context) and isinstance(words[-1], int)
+        if (joint or is_counted) and meaning_of(name) is None:
             role = max((ROLE_WORDS[w] for w in words if w in ROLE_WORDS), default=PLAIN)  # type: ignore[index]
             style = ("position", str(role))
             found.append(
-                Meaning(name, "position", own, words_of(own) or words[-1:], role, style=style)
+                Meaning(name, "position", joint, words_of(joint) or words[-1:], role, style=style)
             )
     return found
 
 
 def _roman_numbers(names: Sequence[str]) -> dict[str, tuple[str, int]]:
-    """Return names that count in Roman numerals from I on, with their Arabic ones, and numbers."""
-    told = {n: found for n in names if (found := _ROMAN.search(n)) is not None}
-    alike = defaultdict[tuple[str, str], dict[str, int]](dict)
-    for name, found in told.items():
-        if found[0] in _NUMERALS:
-            number = 1 + _NUMERALS.index(found[0])
-            alike[name[: found.start()], name[found.end() :]][name] = number
+    """Return names numbered in Roman numerals from I -> name in Arabic numerals, and number."""
+    matches = {n: match for n in names if (match := _ROMAN.search(n)) is not None}
+    series = defaultdict[tuple[str, str], dict[str, int]](dict)
+    for name, match in matches.items():
+        if match[0] in _NUMERALS:
+            number = 1 + _NUMERALS.index(match[0])
+            series[name[: match.start()], name[match.end() :]][name] = number
     return {
         name: (f"{head}{number}{tail}", number)
-        for (head, tail), own in alike.items()
-        if len(own) > 1 and sorted(own.values()) == [*range(1, 1 + len(own))]
-        for name, number in own.items()
+        for (head, tail), members in series.items()
+        if len(members) > 1 and sorted(members.values()) == [*range(1, 1 + len(members))]
+        for name, number in members.items()
     }
 
 
 def _units_of_family(names: Sequence[str]) -> Mapping[str, str]:
-    """Return the unit of quantities that columns tell by what their maker has beside them."""
+    """Return quantity -> unit, if names show whose controller wrote the log."""
     ends = {name.lower().rstrip("_0123456789") for name in names}
     for family in WORDS["families"].values():
-        said = [w for w in family["words"].split() if any(e.endswith(w) for e in ends)]
-        if len(said) >= _FEW_OF_FAMILY:
+        matching = [w for w in family["words"].split() if any(e.endswith(w) for e in ends)]
+        if len(matching) >= _FEW_OF_FAMILY:
             return family
     return {}
 
 
 def _of_joint(name: str, joints: Mapping[Words, str]) -> Meaning | None:
-    """Return the meaning of a column whose name has that of one of some joints as a whole."""
+    """Return the meaning of a column whose name contains the full name of a joint."""
     spans = [found.span() for found in _WORD.finditer(name)] if joints else []
     words = _split(name)
-    for own, joint in joints.items():
-        places = [k for k in range(len(words)) if words[k : k + len(own)] == own]
-        if len(places) != 1 or len(own) == len(words) or _own(name) is not None:
+    for joint_words, joint in joints.items():
+        places = [k for k in range(len(words)) if words[k : k + len(joint_words)] == joint_words]
+        if len(places) != 1 or len(joint_words) == len(words) or _native(name) is not None:
             continue
-        start, end = spans[places[0]][0], spans[places[0] + len(own) - 1][1]
-        told = meaning_of(f"{name[:start]}{_NO_WORD}{name[end:]}")
-        if told is not None and told.quantity in OF_JOINTS:
-            return replace(told, column=name, joint=joint, words=words_of(joint))
+        start, end = spans[places[0]][0], spans[places[0] + len(joint_words) - 1][1]
+        parsed = meaning_of(f"{name[:start]}{_NO_WORD}{name[end:]}")
+        if parsed is not None and parsed.quantity in OF_JOINTS:
+            return replace(parsed, column=name, joint=joint, words=words_of(joint))
     return None
 
 
 def is_time(name: str) -> bool:
-    """Return whether a column name means time, or a part of it."""
+    """Return whether a column name means time, or fractions of a second."""
     meaning = meaning_of(name)
     return meaning is not None and meaning.quantity in ("time", PART)
 
 
 def tells_clock(name: str) -> bool:
-    """Return whether a name has a word for time, and may be the clock of columns beside it."""
+    """Return whether a column may be the clock of a group, as its name has a word for time."""
     return is_time(name) or not _TIMES.isdisjoint(_split(name))
 
 
 def quantity_of(text: str) -> str | None:
-    """Return the quantity that a text names, such as the name of a file."""
+    """Return the quantity that a text, such as a file name, contains."""
     return _quantity(_split(text))
 
 
 def bracketed(column: str) -> str:
-    """Return the text in brackets behind a name."""
+    """Return the text in brackets at the end of a name."""
     found = _BRACKETS.search(column.translate(_FORMS))
     return found[1] if found else ""
 
 
 def is_unknown_word(text: str) -> bool:
-    """Return whether a text is a word that names of columns do not have otherwise."""
+    """Return whether a text is a word without a known meaning in column names."""
     known = _FILLERS | _FLAGS | ROLE_WORDS.keys() | QUANTITY_WORDS.keys() | _SIDES.keys()
     return bool(re.fullmatch(r"[^\W\d_]\D*", text)) and known.isdisjoint(_split(text))
 
 
 @lru_cache(maxsize=10_000)
 def names_joints(column: str) -> bool:
-    """Return whether a column of words, by its name, has names of joints."""
+    """Return whether a column of words contains joint names, according to its own name."""
     words = plain_words(column)
     return bool(_NAMING.intersection(words)) and "frame" not in words
 
 
 @lru_cache(maxsize=10_000)
 def tells(column: str, *kinds: str) -> bool:
-    """Return whether a column says of which of some robots, recordings or signals each row is."""
+    """Return whether a column assigns rows to some `kinds`: robots, recordings or signals."""
     words = _split(column)
     return any(
-        not own.isdisjoint(words) and (own | _COUNTING).issuperset(words)
-        for own in map(_words, kinds)
+        not vocabulary.isdisjoint(words) and (vocabulary | _COUNTING).issuperset(words)
+        for vocabulary in map(_words, kinds)
     )
 
 
 def numbers_joints(column: str) -> bool:
-    """Return whether a column of integers, by its name, has the joint of each row."""
+    """Return whether a column of integers contains joint numbers, according to its name."""
     return names_joints(column) and number_of(column) is None and meaning_of(column) is None
 
 
 def plain_words(text: str) -> frozenset[str]:
-    """Return the words in a text, in small letters."""
+    """Return the words in a text, in lower case."""
     return frozenset(word for word in _split(text) if isinstance(word, str))
 
 
 def is_gripper(joint: str) -> bool:
-    """Return whether a joint is called a gripper."""
+    """Return whether a joint is named like a gripper."""
     return not _GRIPPERS.isdisjoint(_split(joint))
 
 
 def number_of(text: str) -> int | None:
-    """Return the number that a text ends in."""
+    """Return the number at the end of a text."""
     last = _split(text)[-1:]
     return last[0] if last and isinstance(last[0], int) else None
 
 
 def words_of(text: str) -> Words:
-    """Return the words and numbers that distinguish a joint's name from others."""
+    """Return the words and numbers that distinguish a joint's name."""
     words = _split(text)
     return _telling(words) or words
 
 
 def _telling(words: Words) -> Words:
-    """Return words without those that any joint may have; `a` and `j` are such before a number."""
+    """Drop words that any joint may have, such as `a` and `j` before a number."""
     return tuple(
         word
         for word, following in zip_longest(words, words[1:])
@@ -339,29 +336,29 @@ def _telling(words: Words) -> Words:
 
 
 def _has_name(text: str) -> bool:
-    """Return whether a text has more than a number and words that any joint may have."""
+    """Return whether a text contains a word that distinguishes a joint."""
     return any(isinstance(word, str) for word in _telling(_split(text)))
 
 
 def _split(text: str) -> Words:
-    words = _WORD.findall(text.replace("feedBack", "feedback"))  # as ABB's EGM has it
+    words = _WORD.findall(text.replace("feedBack", "feedback"))  # in ABB's EGM
     return tuple(int(w) if w.isdecimal() else w.lower() for w in words)
 
 
-def _own(name: str) -> Meaning | None:
-    """Return `time` and `<joint>.<quantity>`, the names of geodrake's own format."""
+def _native(name: str) -> Meaning | None:
+    """Parse a name of geodrake's own format: `time` or `<joint>.<quantity>`."""
     if name == "time":
         return Meaning(name, "time", role=MEASURED, style=("time",))
     joint, dot, quantity = name.rpartition(".")
     if not dot or quantity not in OF_JOINTS:
         return None
     if (joint.rpartition(".")[2] in _SAMPLES and "." in joint) or joint.startswith("servo_stats"):
-        return None  # of states and references of one joint
+        return None  # fields of one joint's state or reference
     return Meaning(name, quantity, joint, words_of(joint), MEASURED, style=("own", quantity))
 
 
 def _time(name: str) -> Meaning | None:
-    """Read a name of time stamps, such as `Time (ms)`, `header.stamp.secs` or `%time`."""
+    """Parse a name of time stamps, such as `Time (ms)`, `header.stamp.secs` or `%time`."""
     plain, unit = _without_brackets(name, "time")
     suffix = False
     parts = [part for part in re.split(r"[_\s./]+", _CAMEL.sub("_", plain)) if part]
@@ -372,30 +369,30 @@ def _time(name: str) -> Meaning | None:
     words = _split(plain)
     if words[-2:-1] == ("nano",):
         words = (*words[:-2], "nanosec")
-    if unit is None and len(words) == 1 and (own := find_unit(plain, "time")) is not None:
-        words, unit, suffix = ((), own, True) if own.factor < 1.0 else (words, None, False)
+    if unit is None and len(words) == 1 and (exact := find_unit(plain, "time")) is not None:
+        words, unit, suffix = ((), exact, True) if exact.factor < 1.0 else (words, None, False)
     is_part = unit is not None and unit.factor < 1.0 and not _TIMES.intersection(words)
     if not (words or is_part) or not (_BESIDE_TIME | ROLE_WORDS.keys()).issuperset(words):
         group, *inside = _GROUP.split(name, maxsplit=1)  # a group of any name
         if not inside or (found := _time(inside[0])) is None:
             return None
         return replace(found, column=name, role=found.role + 1, style=(group, *found.style))
-    asked = DESIRED in (ROLE_WORDS.get(str(w)) for w in words)  # by a plan's clock
+    is_planned = DESIRED in (ROLE_WORDS.get(str(w)) for w in words)  # the clock of a plan
     context = tuple(map(str, words if suffix else words[:-1]))
-    if is_part or words[-1] in _NANOSECONDS:  # beside seconds
+    if is_part or words[-1] in _NANOSECONDS:  # fractions of seconds
         return Meaning(name, PART, unit=unit or find_unit("ns", "time"), style=context)
     if not _TIMES.intersection(words):
         return None
     if name.startswith("%"):
         unit = find_unit("ns", "time")  # of `rostopic echo -p`
     rank = 0 if "header" in words else 1 if not name.startswith(("_", "%")) else 2
-    rank += 3 * asked + ("date" in words and not _TIME_OF_DAY.intersection(words))
+    rank += 3 * is_planned + ("date" in words and not _TIME_OF_DAY.intersection(words))
     rank += 3 * ("tick" in words)  # which may count rows
     return Meaning(name, "time", role=1 + rank, unit=unit, style=context)
 
 
 def _joint(column: str) -> Meaning | None:
-    """Parse a name of a joint's quantity, with words in any order."""
+    """Parse a name of a joint's quantity with words in any order."""
     name = column
     for form, meant in _REWRITTEN:
         name = form.sub(meant, name)
@@ -404,55 +401,55 @@ def _joint(column: str) -> Meaning | None:
     parts = [part for part in name[:cut].split("/") if part] or [name]
     parts[-1] += name[cut:] if parts[-1] != name else ""
     has_unit = brackets is not None and any(find_unit(brackets[1], each) for each in UNITS)
-    told = [_quantity(_split(_BRACKETS.sub("", part) if has_unit else part)) for part in parts]
-    place = next((k for k in reversed(range(len(parts))) if told[k]), None)
+    kinds = [_quantity(_split(_BRACKETS.sub("", part) if has_unit else part)) for part in parts]
+    place = next((k for k in reversed(range(len(parts))) if kinds[k]), None)
     if place is None:
         return None
-    quantity = told[place] or ""
-    said = frozenset(w for w in _split(name) if isinstance(w, str))
-    if quantity == "command":  # of what, another part may say
-        other = _quantity(tuple(w for w in _split(name) if w not in _COMMAND)) or "position"
-        quantity = quantity if other == "position" else other
-    if quantity in (*SIGNAL_KINDS, *PARTIAL) and _NO_SIGNAL.intersection(said):
+    quantity = kinds[place] or ""
+    all_words = frozenset(w for w in _split(name) if isinstance(w, str))
+    if quantity == "command":  # another part may name its quantity
+        target = _quantity(tuple(w for w in _split(name) if w not in _COMMAND)) or "position"
+        quantity = quantity if target == "position" else target
+    if quantity in (*SIGNAL_KINDS, *PARTIAL) and _NO_SIGNAL.intersection(all_words):
         return None
-    if quantity in ("current", "voltage") and _SUPPLY.intersection(said):
+    if quantity in ("current", "voltage") and _SUPPLY.intersection(all_words):
         return None
     if quantity == "temperature" and _without_brackets(name, "time")[1] is not None:
-        return None  # as of "Temps (s)" in French
+        return None  # as in "Temps (s)", French for time
     unit, plain = _take_unit(parts, place, quantity), parts[place]
-    of_vendor = (own for form, own in WORDS["vendors"].items() if re.search(form, column))
-    unit = unit or find_unit(next(of_vendor, ""), quantity)
-    used = _used(_split(plain))
-    joint = _rest(plain, used)
-    is_before = place + 1 == len(parts) or not _has_name(parts[-1])
-    is_counted = is_before and place + 1 < len(parts)  # as in command/data[2]
+    vendor_units = (text for form, text in WORDS["vendors"].items() if re.search(form, column))
+    unit = unit or find_unit(next(vendor_units, ""), quantity)
+    consumed = _used(_split(plain))
+    joint = _rest(plain, consumed)
+    is_last = place + 1 == len(parts) or not _has_name(parts[-1])
+    is_counted = is_last and place + 1 < len(parts)  # as in command/data[2]
     counted = f"{plain}/{parts[-1]}" if is_counted else plain
     numbers = [w for w in _split(counted) if isinstance(w, int)]
-    if not _has_name(joint) and not numbers and (place > 0 or not is_before):
-        told_by = (k for k in reversed(range(place)) if _telling(_split(parts[k])))
-        place = next(told_by, place - 1) if is_before else len(parts) - 1
+    if not _has_name(joint) and not numbers and (place > 0 or not is_last):
+        naming_parts = (k for k in reversed(range(place)) if _telling(_split(parts[k])))
+        place = next(naming_parts, place - 1) if is_last else len(parts) - 1
         joint = parts[place]
         numbers = [w for w in _split(joint) if isinstance(w, int)]
     named = _has_name(joint)
     words = words_of(joint) if named else ()
-    if not named or (is_counted and parts[-1].isdecimal()):  # as of run1_q/0
+    if not named or (is_counted and parts[-1].isdecimal()):  # as in run1_q/0
         words += tuple(numbers[-1:])
-    named_so = plain_words(_BRACKETS.sub("", name) if has_unit else name)  # min is no unit's
-    roles = [ROLE_WORDS[word] for word in named_so & ROLE_WORDS.keys()]
+    role_words = plain_words(_BRACKETS.sub("", name) if has_unit else name)  # `min` may be a unit
+    roles = [ROLE_WORDS[word] for word in role_words & ROLE_WORDS.keys()]
     role = max(roles, default=PLAIN)
     is_late = role == PREVIOUS and quantity not in EFFORT_KINDS
-    every = _split(name)
-    last = max((k for k, w in enumerate(every) if w in QUANTITY_WORDS or w in _COMMAND), default=0)
-    is_flag = not _FLAGS.isdisjoint(every[last:])
+    tokens = _split(name)
+    last = max((k for k, w in enumerate(tokens) if w in QUANTITY_WORDS or w in _COMMAND), default=0)
+    is_flag = not _FLAGS.isdisjoint(tokens[last:])
     if is_late or _FURTHER_SENSOR.search(column) or is_flag:
         role = OTHER
     group = tuple(word for part in parts[:place] for word in _telling(_split(part)))
-    called, style = joint if named else "", (quantity, *sorted(used))
+    called, style = joint if named else "", (quantity, *sorted(consumed))
     return Meaning(column, quantity, called, words, role, unit, style, group, DESIRED in roles)
 
 
 def _take_unit(parts: list[str], place: int, quantity: str) -> Unit | None:
-    """Take the unit out of the last part of a name, or of that with the quantity."""
+    """Remove the unit from the last part of a name, or from the one with the quantity."""
     for kind in (quantity, "effort") if quantity in SIGNAL_KINDS else (quantity,):
         parts[-1], unit = without_unit(parts[-1], kind, alone=len(parts) == 1)
         if unit is None:
@@ -468,41 +465,41 @@ _COUNTER = re.compile(
 )
 
 
-def _measured_in(name: str) -> Meaning | None:
-    """Read a name in any language by the unit behind it, as in `Winkel 1 [°]` or `elbow_deg`.
+def _by_unit(name: str) -> Meaning | None:
+    """Parse a name in any language by its unit, as in `Winkel 1 [°]` or `elbow_deg`.
 
-    Units of time, and of what stands for efforts but mA, count in brackets alone.
+    Units of time, and of signals for efforts other than mA, must be in brackets.
     """
     units = {q: _without_brackets(name, q) for q in ("time", *QUANTITIES, *SIGNAL_KINDS)}
     counts = _COUNTER.search(name)
-    bare = [(quantity, *without_unit(name, quantity)) for quantity in QUANTITIES if not counts]
-    bare = [e for e in bare if e[2] and (not e[2].signal or e[2].name == "mA")]
-    for quantity, plain, unit in [*((q, *told) for q, told in units.items()), *bare]:
+    suffixed = [(quantity, *without_unit(name, quantity)) for quantity in QUANTITIES if not counts]
+    suffixed = [e for e in suffixed if e[2] and (not e[2].signal or e[2].name == "mA")]
+    for quantity, plain, unit in [*((q, *rest) for q, rest in units.items()), *suffixed]:
         if unit is None or (unit.signal and not _SUPPLY.isdisjoint(_split(name))):
             continue
         if quantity == "time":
             return Meaning(name, quantity, role=OTHER, unit=unit, style=(plain,))
         words = _split(plain)
         numbers = tuple(word for word in words if isinstance(word, int))[-1:]
-        named = tuple(str(word) for word in words if isinstance(word, str))
-        role = max((ROLE_WORDS[word] for word in named if word in ROLE_WORDS), default=PLAIN)
+        texts = tuple(str(word) for word in words if isinstance(word, str))
+        role = max((ROLE_WORDS[word] for word in texts if word in ROLE_WORDS), default=PLAIN)
         kind, joint = unit.signal or quantity, "" if numbers else plain.strip()
-        return Meaning(name, kind, joint, numbers or words_of(plain), role, unit, (kind, *named))
+        return Meaning(name, kind, joint, numbers or words_of(plain), role, unit, (kind, *texts))
     return None
 
 
-RULES: tuple[Callable[[str], Meaning | None], ...] = (_time, _joint, _measured_in)
-"""Rules for names other than geodrake's own, the most certain first."""
+RULES: tuple[Callable[[str], Meaning | None], ...] = (_time, _joint, _by_unit)
+"""Rules for names other than geodrake's own, most reliable first."""
 
 
 def _quantity(words: Words) -> str | None:
-    """Return the quantity that words name."""
+    """Return the quantity that some words name."""
     counted = any(isinstance(w, int) or ROLE_WORDS.get(w) == MEASURED for w in words)
-    named = [w for w in words if w in QUANTITY_WORDS and (counted or w not in SHORT)]
-    if len(named) > 1:  # the current position is no motor current, and voltage in V no velocity
-        named = [w for w in named if w not in (*_CURRENT, *SHORT, _QUALIFIES)] or named
-    found = {QUANTITY_WORDS[w] for w in named}  # type: ignore[index]
-    quantity = next((each for each in WORDS["quantities"] if each in found), None)
+    matching = [w for w in words if w in QUANTITY_WORDS and (counted or w not in SHORT)]
+    if len(matching) > 1:  # as in `current position`, and V of a voltage
+        matching = [w for w in matching if w not in (*_CURRENT, *SHORT, _QUALIFIES)] or matching
+    quantities = {QUANTITY_WORDS[w] for w in matching}  # type: ignore[index]
+    quantity = next((each for each in WORDS["quantities"] if each in quantities), None)
     for word, derived in _DERIVED.items():
         if word in words:
             quantity = derived.get(quantity or "", quantity)
@@ -520,13 +517,13 @@ def _used(words: Words) -> frozenset[str]:
 
 
 def _rest(text: str, used: frozenset[str]) -> str:
-    """Return a name without these words."""
+    """Remove some words from a name."""
     kept = _WORD.sub(lambda found: "\0" if found[0].lower() in used else found[0], text)
     return re.sub(r"[\s_.\-\[\]()]*\0[\s_.\-]*", "_", kept).strip(" _.-[]()")
 
 
 def _in_brackets(name: str) -> str:
-    """Return a name with its unit in brackets behind it: of `q1 / deg`, `q1 in °` or `[deg] q1`."""
+    """Rewrite `q1 / deg`, `q1 in °` or `[deg] q1` with the unit in brackets at the end."""
     front = _FRONT.fullmatch(name)
     apart = [(name[: mark.start()], name[mark.end() :]) for mark in _APART.finditer(name)]
     for rest, unit in [front.group(2, 1)] if front else apart:
@@ -536,14 +533,14 @@ def _in_brackets(name: str) -> str:
 
 
 def _without_brackets(name: str, quantity: str) -> tuple[str, Unit | None]:
-    """Return a name, and the unit that was in brackets behind it."""
+    """Split a name from the unit in brackets at its end."""
     found = _BRACKETS.search(name)
     unit = scaled_unit(found[1], quantity) if found else None
     return (name[: found.start()], unit) if found and unit else (name, None)
 
 
 def without_unit(name: str, quantity: str, *, alone: bool = True) -> tuple[str, Unit | None]:
-    """Return a name without its unit, in brackets or its own part: `q_deg_1`, `torque_Nmm`."""
+    """Split a name from its unit, in brackets or as a word: `q_deg_1`, `torque_Nmm`."""
     plain, unit = _without_brackets(name, quantity)
     if unit is not None:
         return plain, unit
@@ -551,95 +548,95 @@ def without_unit(name: str, quantity: str, *, alone: bool = True) -> tuple[str, 
     for count in (3, 2, 1):
         for first in range(len(parts) - count, 0, -1):
             text = "_".join(parts[first : first + count])
-            last = first + count == len(parts)
+            is_last = first + count == len(parts)
             is_long = len(re.split(r"[_\s.]+", name)) > 2 or parts[0][-1:].isdecimal() or not alone
-            if len(text) < 2 and not (last and is_long and text in ("A", "N", "V", "%")):
+            if len(text) < 2 and not (is_last and is_long and text in ("A", "N", "V", "%")):
                 continue
             unit = None if text in _INCREMENTAL else find_unit(text, quantity)
-            if unit is not None and (last or parts[-1].isdecimal()):
+            if unit is not None and (is_last or parts[-1].isdecimal()):
                 return "_".join(parts[:first] + parts[first + count :]), unit
-    words = _CAMEL.sub("_", name)  # of joint1PosDeg
+    words = _CAMEL.sub("_", name)  # as in joint1PosDeg
     return (name, None) if words == name or "_" in name else without_unit(words, quantity)
 
 
-ONLY = "joint"  # what a joint is called whose columns name none
-NUMBERED = re.compile(r"joint_(\d+)")  # and those that columns only number
+ONLY = "joint"  # name of the only joint if no column names it
+NUMBERED = re.compile(r"joint_(\d+)")  # names of joints that columns only number
 
 
 def matched(
     meanings: Sequence[Meaning], joints: Sequence[str] | None
 ) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Return the joint of each column that belongs to one, and notes on ambiguous names."""
+    """Assign columns to joints, with a note on those assigned by order."""
     if joints is None:
-        return _by_their_own_words(meanings), ()
+        return _by_column_words(meanings), ()
     styles: dict[tuple[str, ...], list[Meaning]] = defaultdict(list)
     for meaning in meanings:
         styles[meaning.style].append(meaning)
-    found: dict[str, str] = {}
+    joint_of: dict[str, str] = {}
     spans: list[str] = []
     ordered: dict[int, set[str]] = defaultdict(set)  # number -> joints
     for style in sorted(styles.values(), key=len, reverse=True):
-        names, by_order = _as_others(style, ordered), False
-        for part, own in () if names else _parts_of_robot(style, joints):
-            told, is_ordered = _match_style(part, own)
-            names, by_order = {**names, **told}, by_order or is_ordered
-        names = {m.column: names[m.column] for m in style if _may_be(m, names.get(m.column))}
-        found |= _by_their_own_words(style) | names
-        if by_order and names:
+        names, is_ordered = _in_known_order(style, ordered), False
+        for part, candidates in () if names else _parts_of_robot(style, joints):
+            assigned, is_part_ordered = _match_style(part, candidates)
+            names, is_ordered = {**names, **assigned}, is_ordered or is_part_ordered
+        names = {m.column: names[m.column] for m in style if _is_plausible(m, names.get(m.column))}
+        joint_of |= _by_column_words(style) | names
+        if is_ordered and names:
             for meaning in style:
                 if meaning.number is not None and meaning.column in names:
                     ordered[meaning.number].add(names[meaning.column])
-            taken = [meaning.column for meaning in style if meaning.column in names]
-            spans.append(f"{taken[0]} … {taken[-1]}")
+            columns = [meaning.column for meaning in style if meaning.column in names]
+            spans.append(f"{columns[0]} … {columns[-1]}")
     if not spans:
-        return found, ()
+        return joint_of, ()
     order = f"in the model's order, from {joints[0]} to {joints[-1]}"
-    return found, (f"columns {', '.join(spans)} are numbered: assigned to joints {order}",)
+    return joint_of, (f"columns {', '.join(spans)} are numbered: assigned to joints {order}",)
 
 
-def _may_be(meaning: Meaning, joint: str | None) -> bool:
-    """Return whether a column may be of a joint, if any: not of another part of a robot."""
-    told = [{*map(str, each)} for each in ((*meaning.group, *meaning.words), _split(joint or ""))]
-    sides = [{_SIDES[word] for word in words if word in _SIDES} for words in told]
-    is_gripper = bool(told[0] & _GRIPPERS) and not told[1] & (_GRIPPERS | _FINGERS)
-    is_beside = all(sides) and not sides[0] & sides[1]
-    return joint is not None and not is_gripper and not is_beside
+def _is_plausible(meaning: Meaning, joint: str | None) -> bool:
+    """Return whether a column and its joint may be on the same side and part of a robot."""
+    sets = [{*map(str, each)} for each in ((*meaning.group, *meaning.words), _split(joint or ""))]
+    sides = [{_SIDES[word] for word in words if word in _SIDES} for words in sets]
+    is_gripper = bool(sets[0] & _GRIPPERS) and not sets[1] & (_GRIPPERS | _FINGERS)
+    is_other_side = all(sides) and not sides[0] & sides[1]
+    return joint is not None and not is_gripper and not is_other_side
 
 
-def _as_others(style: Sequence[Meaning], ordered: Mapping[int, set[str]]) -> dict[str, str]:
-    """Return joints of numbered columns, where those of all joints are in order."""
-    found = {m.column: ordered.get(-1 if m.number is None else m.number, set()) for m in style}
-    are_alone = all(len(joints) == 1 for joints in found.values())
-    if len(style) == len(ordered) or not are_alone or any(m.role >= OTHER for m in style):
+def _in_known_order(style: Sequence[Meaning], ordered: Mapping[int, set[str]]) -> dict[str, str]:
+    """Assign numbered columns of some joints as a complete set was assigned by order."""
+    joints_of = {m.column: ordered.get(-1 if m.number is None else m.number, set()) for m in style}
+    are_unique = all(len(joints) == 1 for joints in joints_of.values())
+    if len(style) == len(ordered) or not are_unique or any(m.role >= OTHER for m in style):
         return {}
-    return {column: next(iter(joints)) for column, joints in found.items()}
+    return {column: next(iter(joints)) for column, joints in joints_of.items()}
 
 
-def _by_their_own_words(meanings: Sequence[Meaning]) -> dict[str, str]:
-    """Return joints by the names that the columns give them, one for the same words."""
-    called: dict[Words, str] = {}
-    found = {}
+def _by_column_words(meanings: Sequence[Meaning]) -> dict[str, str]:
+    """Assign columns to the joints that they name, one joint for equal words."""
+    joints: dict[Words, str] = {}
+    joint_of = {}
     for meaning in meanings:
         if meaning.style[0] == "own":
-            called.setdefault(meaning.words, meaning.joint)
-            found[meaning.column] = meaning.joint
+            joints.setdefault(meaning.words, meaning.joint)
+            joint_of[meaning.column] = meaning.joint
         elif meaning.role < OTHER:
             number = ONLY if meaning.number is None else f"joint_{meaning.number}"
-            found[meaning.column] = called.setdefault(meaning.words, meaning.joint or number)
-    return found
+            joint_of[meaning.column] = joints.setdefault(meaning.words, meaning.joint or number)
+    return joint_of
 
 
 Part = tuple[Words, Words | None]
-"""Words of a group of the file, and of names without their number; None for those without one."""
+"""Words of a group and of names without their number; None if the names are joints."""
 
 
 def _parts_of_robot(
     style: Sequence[Meaning], joints: Sequence[str]
 ) -> Iterator[tuple[Sequence[Meaning], Sequence[str]]]:
-    """Yield columns that are named alike, those of each arm apart, and the joints they may be of.
+    """Split columns of one style by arm or leg, and yield each part with its candidate joints.
 
-    Joints of the model are of the part with whose words they are called. Where none is, parts of
-    which only numbers are told may be robots alike.
+    A joint belongs to the part whose words are in its name. If no part has joints, parts of equal
+    size may be identical robots.
     """
     parts: dict[Part, list[Meaning]] = defaultdict(list)
     common = set.intersection(*({*m.group, *m.words} for m in style))
@@ -654,99 +651,99 @@ def _parts_of_robot(
     if len(parts) < 2 or (() not in keys and len(_by_name(keys, joints)) == len(style)):
         yield style, joints
         return
-    called = _with_side_first([(*head, *(rest or ())) for head, rest in parts])
-    common |= set.intersection(*({*words} for words in called))
-    said = {part: {*words} - common for part, words in zip(parts, called, strict=True)}
-    named = [_unnumbered(words) for words in _with_side_first([*map(words_of, joints)])]
-    if 0 in set().union(*said.values()) - set().union(*named):  # as of legs, that they count
-        for part, own_words in said.items():
-            said[part] = {word + 1 if isinstance(word, int) else word for word in own_words}
-    own: dict[Part, list[str]] = {part: [] for part in parts}
-    for joint, words in zip(joints, named, strict=True):
-        near = [part for part in parts if said[part].issubset(words)]
-        most = max((len(said[part]) for part in near), default=0)
-        for part in near:
-            own[part] += [joint] if len(said[part]) == most else []
-    are_told = any(own[part] and said[part] for part in parts)
+    part_words = _with_side_first([(*head, *(rest or ())) for head, rest in parts])
+    common |= set.intersection(*({*words} for words in part_words))
+    specific = {part: {*words} - common for part, words in zip(parts, part_words, strict=True)}
+    joint_words = [_unnumbered(words) for words in _with_side_first([*map(words_of, joints)])]
+    if 0 in set().union(*specific.values()) - set().union(*joint_words):  # legs counted from 0
+        for part, own_words in specific.items():
+            specific[part] = {word + 1 if isinstance(word, int) else word for word in own_words}
+    joints_of: dict[Part, list[str]] = {part: [] for part in parts}
+    for joint, words in zip(joints, joint_words, strict=True):
+        fitting = [part for part in parts if specific[part].issubset(words)]
+        most = max((len(specific[part]) for part in fitting), default=0)
+        for part in fitting:
+            joints_of[part] += [joint] if len(specific[part]) == most else []
+    are_distinct = any(joints_of[part] and specific[part] for part in parts)
     sizes = [len(columns) for (_, rest), columns in parts.items() if rest is not None]
     size = len(joints) if len(joints) in sizes else max(sizes, default=0)
     for part, columns in parts.items():
-        if own[part] or part[1] is None:
-            yield columns, own[part] or joints
-        elif not are_told and len(columns) == size:
+        if joints_of[part] or part[1] is None:
+            yield columns, joints_of[part] or joints
+        elif not are_distinct and len(columns) == size:
             yield columns, joints
 
 
 def _with_side_first(names: Sequence[Words]) -> list[Words]:
-    """Return words of names; where they tell both sides of a robot, first the side by one word."""
+    """Move the side of a robot to the front, as one word, if names contain both sides."""
     sides = [tuple(_SIDES[w] for w in map(str, words) if w in _SIDES) for words in names]
     if len(set[str]().union(*sides)) < 2 or 2 * sum(map(bool, sides)) < len(names):
-        return [*names]  # as of axes S, L, U, R, B and T
+        return [*names]  # such as axes S, L, U, R, B and T
     rest = [tuple(word for word in words if str(word) not in _SIDES) for words in names]
     return [side + words for side, words in zip(sides, rest, strict=True)]
 
 
 def _match_style(style: Sequence[Meaning], joints: Sequence[str]) -> tuple[dict[str, str], bool]:
-    """Return column -> joint of columns that are named alike, and whether it is by their order."""
+    """Assign columns of one style to joints, and return whether by order only."""
     exact = {m.column: m.joint for m in style if m.joint in set(joints)}
     if len(exact) == len(style):
         return exact, False
     by_words = {m.words: m for m in style}
-    if list(by_words) == [()]:  # which names no joint
+    if list(by_words) == [()]:  # no joint is named
         return {m.column: joints[0] for m in style if len(joints) == 1 and m.role < OTHER}, False
     names = _by_name(by_words, joints)
     numbers = _numbers(list(by_words))
     by_order = False
     if exact:
-        if len(numbers) == len(joints) and min(numbers.values()) == 0:  # and the joints' from 1
+        if len(numbers) == len(joints) and min(numbers.values()) == 0:  # joints count from 1
             shifted = _by_number(numbers, joints) or {}
             return {m.column: shifted[m.words] for m in style if m.words in shifted}, bool(shifted)
         names = {words: joint for words, joint in names.items() if joint not in exact.values()}
     elif (len(names) < len(by_words) or () in by_words) and numbers and style[0].role < OTHER:
-        named = _by_number(numbers, joints)
-        by_order = named is None and len(numbers) == len(joints)
+        numbered = _by_number(numbers, joints)
+        by_order = numbered is None and len(numbers) == len(joints)
         if by_order:
             order = sorted(numbers, key=lambda words: numbers[words])
-            named = dict(zip(order, joints, strict=True))
-        names = {} if named is None else named
-    found = {m.column: names[m.words] for m in style if m.words in names}
-    return found | exact, by_order and len(joints) > 1
+            numbered = dict(zip(order, joints, strict=True))
+        names = {} if numbered is None else numbered
+    joint_of = {m.column: names[m.words] for m in style if m.words in names}
+    return joint_of | exact, by_order and len(joints) > 1
 
 
 def _by_name(keys: Mapping[Words, Meaning], joints: Sequence[str]) -> dict[Words, str]:
-    """Return joints whose words end as those of a column, or the reverse; each as often."""
+    """Match joints and columns whose last words agree, each joint equally often."""
     ends: dict[Words, list[tuple[int, str]]] = defaultdict(list)
     for joint, words in zip(joints, _with_side_first([*map(words_of, joints)]), strict=True):
         for first in range(len(words)):
             ends[words[first:]].append((first, joint))
     sided = dict(zip(keys, _with_side_first([*keys]), strict=True))
-    found = {}
+    joint_of = {}
     for key, meaning in keys.items():
         if meaning.number is not None:
             continue  # a number alone may count from 0: see _by_number
         words = sided[key]
         tails = (words[first:] for first in range(len(words)))
-        near = next((ends[tail] for tail in tails if tail in ends), [])
-        least = [joint for extra, joint in near if extra == min(near)[0]]
-        whole = [joint for extra, joint in near if extra == 0]
-        if len(least) == 1 and (words in ends or whole):
-            found[key] = least[0]
-    taken = Counter(found.values())
-    if len({*taken.values()}) == 1:  # each of several robots may have all of them
-        return found
-    return {key: joint for key, joint in found.items() if taken[joint] == 1}
+        matches = next((ends[tail] for tail in tails if tail in ends), [])
+        closest = [joint for extra, joint in matches if extra == min(matches)[0]]
+        complete = [joint for extra, joint in matches if extra == 0]
+        if len(closest) == 1 and (words in ends or complete):
+            joint_of[key] = closest[0]
+    counts = Counter(joint_of.values())
+    if len({*counts.values()}) == 1:  # several robots may share all names
+        return joint_of
+    return {key: joint for key, joint in joint_of.items() if counts[joint] == 1}
 
 
 def _numbers(keys: Sequence[Words]) -> dict[Words, int]:
-    """Return the number in which the columns differ, if that is all in which they do."""
-    told = [key for key in keys if key]  # one without any is of the whole robot
-    places = [k for k, words in enumerate(zip_longest(*told)) if len({*words}) > 1]
-    if len(told) == 1:
-        places = [k for k, word in enumerate(told[0]) if isinstance(word, int)][-1:]
+    """Return the number of each column, if columns differ by their number only."""
+    full = [key for key in keys if key]  # names without words refer to the whole robot
+    places = [k for k, words in enumerate(zip_longest(*full)) if len({*words}) > 1]
+    if len(full) == 1:
+        places = [k for k, word in enumerate(full[0]) if isinstance(word, int)][-1:]
     if len(places) != 1:
         return {}
-    found = {key: key[places[0]] for key in told if len(key) > places[0]}
-    return {k: n for k, n in found.items() if isinstance(n, int)} if len(found) == len(told) else {}
+    found = {key: key[places[0]] for key in full if len(key) > places[0]}
+    return {k: n for k, n in found.items() if isinstance(n, int)} if len(found) == len(full) else {}
 
 
 def _number(words: Words) -> int | None:
@@ -761,15 +758,15 @@ def _unnumbered(words: Words) -> Words:
 
 
 def _by_number(numbers: Mapping[Words, int], joints: Sequence[str]) -> dict[Words, str] | None:
-    """Return the joints whose names have these numbers, from 0 or 1; None if any is missing."""
+    """Match joints by numbers from 0 or 1; None if any number is missing or ambiguous."""
     ends = defaultdict[int | None, list[str]](list)
     for joint in joints:
         ends[_number(words_of(joint))].append(joint)
     for shift in (0, 1) if min(numbers.values()) == 0 and 0 not in ends else (0,):
-        near = {key: ends.get(number + shift, [""]) for key, number in numbers.items()}
-        least = {key: min(own, key=lambda joint: len(words_of(joint))) for key, own in near.items()}
+        pool = {key: ends.get(number + shift, [""]) for key, number in numbers.items()}
+        least = {key: min(own, key=lambda joint: len(words_of(joint))) for key, own in pool.items()}
         alike = (
-            len(words_of(j)) == len(words_of(least[k])) for k, own in near.items() for j in own
+            len(words_of(j)) == len(words_of(least[k])) for k, own in pool.items() for j in own
         )
         if all(least.values()) and sum(alike) == len(numbers):
             return least

@@ -1,4 +1,4 @@
-"""Compressed logs, such as `log.csv.gz` or a `.zip` of one, decompressed while they are read."""
+"""Open compressed logs, such as `log.csv.gz` or a `.zip` archive of one log."""
 
 from __future__ import annotations
 
@@ -38,17 +38,17 @@ PACKED: Mapping[str, Callable[[Any], Any]] = {
     ".zst": _zstandard,
     ".zip": _zipped,
 }
-"""Suffix of compressed files -> function that decompresses an open one."""
+"""Suffix of compressed files -> function that decompresses an open file."""
 
 
 def _log_in(archive: ZipFile, called: str) -> str:
-    """Return the name of the only log in an archive, leaving out what systems put beside it."""
+    """Return the name of the only log in an archive, ignoring hidden and system files."""
     names = [PurePosixPath(name) for name in archive.namelist() if not name.endswith("/")]
-    seen = [n for n in names if not any(part.startswith((".", "__MACOSX")) for part in n.parts)]
-    logs = [n for n in seen if n.suffix.lower() in PACKABLE and n.stem.lower() != "readme"]
+    visible = [n for n in names if not any(part.startswith((".", "__MACOSX")) for part in n.parts)]
+    logs = [n for n in visible if n.suffix.lower() in PACKABLE and n.stem.lower() != "readme"]
     if len(logs) == 1:
         return str(logs[0])
-    found = ", ".join(map(str, (logs or seen)[:8])) or "nothing"
+    found = ", ".join(map(str, (logs or visible)[:8])) or "nothing"
     raise LogError(
         f"Log {called!r} is an archive of {len(logs)} logs of text, JSON or NPZ; it has {found}.",
         advice="Unpack it, and give one of its files, or several that belong together as "
@@ -57,7 +57,7 @@ def _log_in(archive: ZipFile, called: str) -> str:
 
 
 def unpacked(path: Path) -> Path:
-    """Return the path without the suffix of its compression; of an archive, with its log's."""
+    """Return the path without its compression suffix; an archive gets the suffix of its log."""
     if path.suffix.lower() not in PACKED:
         return path
     inner = path.with_suffix("")
@@ -83,7 +83,7 @@ def log_name(path: Path) -> str:
 
 @contextmanager
 def open_log(path: Path) -> Iterator[BinaryIO]:
-    """Open a regular file for its bytes, unpacked if it is packed."""
+    """Open a regular file in binary mode, and decompress it if necessary."""
     with open_regular(path, "log", LogError) as file:
         if unpacked(path) == path:
             yield file

@@ -1,4 +1,4 @@
-"""How a log is read, as the user says where the file does not tell: options and mapping files."""
+"""Options for reading a log, and mapping files that assign its columns."""
 
 from __future__ import annotations
 
@@ -42,16 +42,16 @@ _GAIN_FORM = "Write 13.2, or 13.2±0.5 with its standard deviation."
 class MappedColumn:
     """A column of a mapping."""
 
-    column: str | int  # name of the column in the file, or its number, from 1 on
-    unit: str | None = None  # its unit; None if its name says it, or it is SI
-    # What its numbers are multiplied by, beside the unit: to N·m of an effort, to A of a current.
+    column: str | int  # name or number, from 1, of the column in the file
+    unit: str | None = None  # None: from the column name, or SI
+    # Factor in addition to the unit: to N·m for an effort, to A for a current.
     gain: float = 1.0
-    deviation: float | None = None  # standard deviation of the gain; None if nothing is known of it
+    deviation: float | None = None  # standard deviation of the gain, if known
 
     def among(self, names: Sequence[str]) -> str:
-        """Return its name, which may be given as a number that is no name itself.
+        """Return the name of the column, which may be given by number.
 
-        A list of one number may be named as its item.
+        A list of one number may be named like its item.
         """
         name, number = str(self.column), self.column if isinstance(self.column, int) else 0
         if name not in names and (whole := name.removesuffix("[0]")) in names:
@@ -61,13 +61,13 @@ class MappedColumn:
 
 @dataclass(frozen=True)
 class ColumnMapping:
-    """Which column of a file is which quantity of which joint."""
+    """Assignment of the columns of a file to quantities of joints."""
 
     # Joint -> quantity -> column; quantities are those of a log, and the kinds of effort.
     joints: Mapping[str, Mapping[str, MappedColumn]]
-    time: MappedColumn | None = None  # the column of the time; None where a rate says it
-    rate: float | None = None  # rows a second, where there is no time
-    source: str = "the mapping"  # what messages call the mapping
+    time: MappedColumn | None = None  # None if a rate is given
+    rate: float | None = None  # sampling rate (Hz), if there is no time
+    source: str = "the mapping"  # name of the mapping in messages
 
     def __post_init__(self) -> None:
         for joint, quantities in self.joints.items():
@@ -88,7 +88,7 @@ class ColumnMapping:
                 )
 
     def named(self, names: Sequence[str]) -> ColumnMapping:
-        """Return the mapping with columns by their names, where it counts them."""
+        """Return the mapping with column numbers replaced by names."""
 
         def by_name(mapped: MappedColumn) -> MappedColumn:
             return replace(mapped, column=mapped.among(names))
@@ -100,7 +100,7 @@ class ColumnMapping:
         return replace(self, joints=joints, time=self.time and by_name(self.time))
 
     def __iter__(self) -> Iterator[tuple[str, MappedColumn]]:
-        """Yield every column, by `time` or `<joint>.<quantity>`."""
+        """Yield every column with its name, `time` or `<joint>.<quantity>`."""
         if self.time is not None:
             yield "time", self.time
         for joint, quantities in self.joints.items():
@@ -110,30 +110,30 @@ class ColumnMapping:
 
 @dataclass(frozen=True)
 class Reading:
-    """How a log is read; anything not given is inferred from the column names.
+    """Options for reading a log; anything not given is inferred from the column names.
 
     Attributes:
-        mapping: Which column is what.
-        columns: Names of the columns of files without a header, in their order.
-        rate: Rows a second, for logs without a column of time, Hz.
+        mapping: Assignment of columns.
+        columns: Names of the columns of files without a header, in order.
+        rate: Sampling rate of logs without a column of time, Hz.
         units: Quantity (time, position, velocity, acceleration, effort, current, voltage, pwm or
             command) -> its unit.
-        gains: Joint -> what its efforts are multiplied by, such as current · constant · ratio.
-        gain_deviations: Some of these joints -> standard deviation of the gain.
+        gains: Joint -> gain of its efforts, such as torque constant × gear ratio for currents.
+        gain_deviations: Joint -> standard deviation of its gain, for some of these joints.
         usual_deviation: Relative standard deviation of the gains of all other joints.
-        kinds: Joint -> what its efforts are, of `KINDS`; by the name "", those of all joints whose
-            columns do not say it.
-        skip_bad_rows: Leave out rows that no recorder meant, if they are at most 1 %.
+        kinds: Joint -> kind of its efforts, one of `KINDS`; the key "" applies to all joints whose
+            columns do not determine it.
+        skip_bad_rows: Skip corrupt rows, if they are at most 1 %.
         topic: Topic of a bag or channel of an LCM log, or several of a bag, which are joined by
-            time; a word in the columns of one of several robots; None for what fits.
-        episode: Episode of a dataset, or of demonstrations; None for all, one after the other.
+            time; a word in the columns of one of several robots; None for the best match.
+        episode: Episode of a dataset, or of demonstrations; None to concatenate all.
         ignored: Columns that are not used.
-        motorless: Joints that are passive where a log has no effort of them, or zeros alone.
-        motors: Joint -> its motor; by the name "", that of all others.
-        joints: Those of the model; parts of a log without any of them are not used.
-        limits: Joint -> its least and its largest position by the model, rad or m.
-        sliding: Joints whose positions are lengths by the model.
-        of_base: Whether a recording is read for what it has of a free base and its feet.
+        motorless: Joints that are passive if a log has no efforts of them, or only zeros.
+        motors: Joint -> its motor; the key "" applies to all others.
+        joints: Joints of the model; parts of a log without any of them are not used.
+        limits: Joint -> its lower and upper position limits in the model, rad or m.
+        sliding: Prismatic joints of the model.
+        of_base: Whether to read the floating base and its feet from a recording.
     """
 
     mapping: ColumnMapping | None = None
@@ -192,12 +192,12 @@ class Reading:
         return self.kinds.get(joint, self.kinds.get(""))
 
     def motors_of(self, joints: Sequence[str]) -> dict[str, Motor]:
-        """Return the motors of joints that have one which is known."""
+        """Return the motors of joints, where known."""
         found = {joint: self.motors.get(joint, self.motors.get("")) for joint in joints}
         return {joint: motor for joint, motor in found.items() if motor is not None}
 
     def effort_uncertainty(self, joints: Sequence[str]) -> float | Array:
-        """Return how well the gains of efforts are known: a share of each (n,), or one of all."""
+        """Return relative standard deviations (n,) of the gains of efforts, or one for all."""
         stated = {joint: list[float]() for joint in joints}
         for joint, shares in stated.items():
             if joint in self.gain_deviations:
@@ -225,7 +225,7 @@ def parsed_gain(text: str, what: str) -> tuple[float, float | None]:
 
 
 def check_gain(gain: object, what: str, deviation: object = None) -> None:
-    """Raise an ArgumentError unless a gain is a number other than 0, of a sign that is known."""
+    """Raise unless a gain is nonzero, and its sign certain given its deviation."""
     if number(gain, what) == 0.0:
         raise ArgumentError(f"{what} must be a nonzero number; got {gain!r}.")
     if deviation is not None and not 0.0 <= number(deviation, f"the deviation of {what}") < abs(
@@ -238,7 +238,7 @@ def check_gain(gain: object, what: str, deviation: object = None) -> None:
         )
 
 
-MOST_COLUMNS = 500  # of a file for which a mapping is proposed
+MOST_COLUMNS = 500  # most columns for which a mapping is proposed
 _ASKED = ("position", "velocity", "effort")
 _FORM = (
     "Write `time: COLUMN` or `rate: HZ`, and `joints:`, each with `position:` and `effort:` "
@@ -249,12 +249,12 @@ _FORM = (
 
 @typed
 def read_mapping(path: Path) -> ColumnMapping:
-    """Read a mapping file, in which no column may come twice."""
+    """Read a mapping file, in which each column may occur only once."""
     return made_of_yaml(path, "mapping", LogError, partial(mapping_of, path), advice=_FORM)
 
 
 class _ColumnSchema(Schema):
-    """A column as the file has it; see `MappedColumn`."""
+    """A column in the file; see `MappedColumn`."""
 
     column: str | int
     unit: str | None = None
@@ -268,7 +268,7 @@ _QUANTITIES = [quantity for quantity in OF_JOINTS if quantity != PASSIVE]
 _JointSchema: Any = msgspec.defstruct(
     "_JointSchema", [(quantity, _Column, None) for quantity in _QUANTITIES], bases=(Schema,)
 )
-"""Columns of a joint as the file has them."""
+"""Columns of a joint in the file."""
 
 
 class _MappingSchema(Schema):
@@ -280,20 +280,20 @@ class _MappingSchema(Schema):
 
 
 def mapping_of(path: Path, content: object) -> ColumnMapping:
-    """Return the mapping in the content of a file; see `read_mapping`."""
-    said = as_schema(content, _MappingSchema)
+    """Convert the content of a file to a mapping; see `read_mapping`."""
+    schema = as_schema(content, _MappingSchema)
     joints = dict[str, dict[str, MappedColumn]]()
-    for joint, columns in said.joints.items():
+    for joint, columns in schema.joints.items():
         named = {q: each for q in _QUANTITIES if (each := getattr(columns, q)) is not None}
         joints[str(joint)] = {q: _column(each, q, f"{joint}.{q}") for q, each in named.items()}
-    if said.rate is not None:
-        positive(said.rate, "`rate`")
+    if schema.rate is not None:
+        positive(schema.rate, "`rate`")
     if not joints:
         raise ArgumentError("`joints` is empty.", advice=_FORM)
-    time = None if said.time is None else _column(said.time, "time", "time")
-    if said.time is None and said.rate is None:
+    time = None if schema.time is None else _column(schema.time, "time", "time")
+    if schema.time is None and schema.rate is None:
         raise ArgumentError("it has neither `time` nor `rate`.", advice=_FORM)
-    mapping = ColumnMapping(joints, time, said.rate, "it")  # errors here begin with the file
+    mapping = ColumnMapping(joints, time, schema.rate, "it")  # errors here begin with the file
     return replace(mapping, source=f"mapping {path}")
 
 
@@ -323,24 +323,24 @@ def propose(
     reading: Reading,
     headed: bool = True,
 ) -> LogError:
-    """Return the error of a failed reading, with a mapping as evidence.
+    """Add a proposed mapping to the evidence of an error, and return it.
 
-    The mapping is text to edit, filled in with the columns in `places`. It is left out if the user
-    gave one, or the file has too many columns. Columns without a header are given by their numbers.
+    The mapping is text to edit, filled in with the columns in `places`; without a header, columns
+    are given by number. It is omitted if the user gave one or there are too many columns.
     """
     if reading.mapping is not None or len(names) > MOST_COLUMNS:
         return error
     named = list(dict.fromkeys(joint for joint, _ in places if joint))
-    called = [joint for joint in named if (joint, "position") in places] or named
+    logged = [joint for joint in named if (joint, "position") in places] or named
     own = joints or named or ["JOINT"]
-    if are_numbered := all(map(NUMBERED.fullmatch, called)):
-        called.sort(key=lambda joint: int(joint.rpartition("_")[2]))
-    is_by_order = not set(called).intersection(own) and (are_numbered or len(called) == len(own))
-    model = dict(zip(called, own, strict=False)) if is_by_order else {}
+    if are_numbered := all(map(NUMBERED.fullmatch, logged)):
+        logged.sort(key=lambda joint: int(joint.rpartition("_")[2]))
+    is_by_order = not set(logged).intersection(own) and (are_numbered or len(logged) == len(own))
+    model = dict(zip(logged, own, strict=False)) if is_by_order else {}
     known = {(model.get(joint, joint), m.quantity): m for (joint, _), m in places.items()}
     units = {place: m.unit.name if m.unit else None for place, m in known.items()}
     found = {place: MappedColumn(m.column, units[place]) for place, m in known.items()}
-    guessed = {} if called else _guess(names, own, headed=headed)
+    guessed = {} if logged else _guess(names, own, headed=headed)
     if any(guessed.get(place) != column for place, column in found.items()):
         guessed = {}
     found |= guessed
@@ -379,29 +379,29 @@ def mapping_yaml(
     time: MappedColumn | None,
     rate: float | None,
 ) -> str:
-    """Return a mapping as the text of a file; what is None is for the user to fill in."""
-    clock = {"time": _said(time)} if rate is None else {"rate": rate}
-    told = {j: {q: _said(column) for q, column in own.items()} for j, own in joints.items()}
+    """Return a mapping as the text of a file; the user fills in columns that are None."""
+    clock = {"time": _entry(time)} if rate is None else {"rate": rate}
+    content = {j: {q: _entry(column) for q, column in own.items()} for j, own in joints.items()}
     text = yaml.safe_dump(
-        {**clock, "joints": told}, sort_keys=False, allow_unicode=True, width=math.inf
+        {**clock, "joints": content}, sort_keys=False, allow_unicode=True, width=math.inf
     )
     return str(text).replace(": null\n", ":  # which column?\n")
 
 
-def _said(mapped: MappedColumn | None) -> object:
-    """Return a column as it stands in a file."""
+def _entry(mapped: MappedColumn | None) -> object:
+    """Return a column in the form of the file."""
     if mapped is None:
         return None
     gain = mapped.gain if mapped.deviation is None else f"{mapped.gain}±{mapped.deviation}"
-    more: dict[str, object] = {"unit": mapped.unit} if mapped.unit else {}
-    more |= {"gain": gain} if gain != 1.0 else {}
-    return {"column": mapped.column, **more} if more else mapped.column
+    details: dict[str, object] = {"unit": mapped.unit} if mapped.unit else {}
+    details |= {"gain": gain} if gain != 1.0 else {}
+    return {"column": mapped.column, **details} if details else mapped.column
 
 
 def _guess(
     names: Sequence[str], joints: Sequence[str], *, headed: bool
 ) -> dict[tuple[str, str], MappedColumn]:
-    """Map (joint, quantity) to columns, if their number is that of time and all quantities."""
+    """Map (joint, quantity) to columns in order, if their number fits time and quantities."""
     columns = [MappedColumn(name if headed else k) for k, name in enumerate(names, 1)]
     for timed, quantities in product((True, False), (_ASKED, ("position", "effort"))):
         order = [("", "time")] * timed + [(j, q) for q in quantities for j in joints]

@@ -1,7 +1,7 @@
-"""Columns of a log file under the names that the file gives them, before they are understood.
+"""Columns of a log file under their original names, before they are assigned to joints.
 
-Readers of formats make a `LogTable` of arrays of any type: nested, nullable, dated. Rows that no
-recorder meant are left out if they are few.
+The reader of each format converts its arrays, which may be nested, nullable or dates, to a
+`LogTable`. A few corrupt rows can be skipped.
 """
 
 from __future__ import annotations
@@ -32,28 +32,28 @@ from geodrake.logs.time_stamps import check_time
 
 @contextmanager
 def readable(path: Path, what: str, advice: str = "Write it again, or as CSV.") -> Iterator[None]:
-    """Convert exceptions of readers of damaged files to errors of the log."""
+    """Convert any exception while reading a file to a LogError."""
     try:
         yield
     except (GeodrakeError, MemoryError):
         raise
-    except Exception as error:  # of readers and their decompressors: no list would be whole
+    except Exception as error:  # decompressors and parsers raise many types
         words = " ".join(str(error).split()).rstrip(".") or type(error).__name__
         raise LogError(
             f"Log {str(path)!r} is not a readable {what}: {words}.", advice=advice
         ) from error
 
 
-_LARGEST_SHARE = 0.5  # of the memory that the numbers of a log may take; the rest is for the work
+_LARGEST_SHARE = 0.5  # of the memory for the numbers of a log; analysis needs the rest
 
 
 def check_room(path: Path, count: int, words: str) -> None:
-    """Raise a LogError if so many numbers and their derived data would exceed the memory."""
-    needed, there = 8 * count, machine_memory()
-    if needed > _LARGEST_SHARE * there:
+    """Raise if `count` numbers and the data derived from them would exceed the memory."""
+    needed, available = 8 * count, machine_memory()
+    if needed > _LARGEST_SHARE * available:
         raise LogError(
             f"Log {str(path)!r} has {words}, which need {needed / 1e9:.3g} GB; this machine "
-            f"has {there / 1e9:.3g} GB of memory.",
+            f"has {available / 1e9:.3g} GB of memory.",
             advice="Use excerpts of it, or fewer columns.",
         )
 
@@ -75,7 +75,7 @@ _NAMED_FIRST = re.compile(  # May 1, 2026 12:00:00; and Fri May 1 12:00:00 2026
 _MONTHS = ["jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec"]
 _LAST_MONTH = _NOON = 12
 _SECONDS = re.compile(r"(\d+)(?:[.,](\d{1,9})\d*)? ?s(?:ec)?")  # as MATLAB writes durations
-_MINUTES = re.compile(r"(\d{1,3}):([0-5]\d)[.,](\d{1,9})\d*")  # as Excel writes them, and seconds
+_MINUTES = re.compile(r"(\d{1,3}):([0-5]\d)[.,](\d{1,9})\d*")  # minutes and seconds from Excel
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _SECOND, _DAY = 1_000_000_000, 86_400  # ns, s
 
@@ -83,9 +83,9 @@ _SECOND, _DAY = 1_000_000_000, 86_400  # ns, s
 def date_of(text: str, *, day_first: bool = False) -> int | None:
     """Return a date with time of day in nanoseconds since 1970; None if the text is not one.
 
-    It may be in ISO 8601 or the like; or day, month and year with points or the month's name; or
-    month, day and year with strokes or dashes, with the day first if so asked. Without a time zone
-    it is in UTC. A time of day alone, days and a time, or seconds with their unit are since 1970.
+    Formats are ISO 8601 and its variants, day.month.year, day month-name year, and month/day/year
+    (`day_first`: day/month/year). Dates without a time zone are in UTC. A time of day, days with
+    a time, and seconds with their unit count from 1970.
     """
     if (found := _SECONDS.fullmatch(text.strip())) is not None:
         return int(found[1]) * _SECOND + int((found[2] or "").ljust(9, "0"))
@@ -118,47 +118,47 @@ def date_of(text: str, *, day_first: bool = False) -> int | None:
             since = datetime(year, month, day, hour, minute, second, tzinfo=UTC) - _EPOCH
     except ValueError:  # the 30th of February
         return None
-    zone = timedelta(hours=int(found["hours"] or 0), minutes=int(found["minutes"] or 0))
-    since -= -zone if found["sign"] == "-" else zone
+    offset = timedelta(hours=int(found["hours"] or 0), minutes=int(found["minutes"] or 0))
+    since -= -offset if found["sign"] == "-" else offset
     return (since.days * _DAY + since.seconds) * _SECOND + int((found["part"] or "").ljust(9, "0"))
 
 
 def is_date(text: str) -> bool:
-    """Return whether a text is a date with its time of day, its day before the month or after."""
+    """Return whether a text is a date with time of day, in either order of day and month."""
     return any(date_of(text, day_first=first) is not None for first in (False, True))
 
 
 def order_of_days(texts: Iterable[str]) -> tuple[bool, str]:
-    """Return whether days precede months in dates with slashes or dashes, and why.
+    """Return whether days precede months in dates with slashes or dashes, and a note.
 
-    All dates in some texts together tell it: by a number that is no month, or as they follow each
-    other more closely in one of the orders.
+    A number above 12 decides, otherwise the order that gives the shorter total time span.
     """
-    found = [date for text in texts if (date := DATE.fullmatch(text.strip()))]
-    found = [date for date in found if date["mark"] in ("/", "-")]
-    if not found:
+    dates = [date for text in texts if (date := DATE.fullmatch(text.strip()))]
+    dates = [date for date in dates if date["mark"] in ("/", "-")]
+    if not dates:
         return False, ""
-    days = list(dict.fromkeys(date.group("first", "second", "last") for date in found))
-    one, other, years = np.array(days, int).T
+    days = list(dict.fromkeys(date.group("first", "second", "last") for date in dates))
+    first, second, years = np.array(days, int).T
     spans = [
-        np.ptp(372 * years + 31 * months + days) for months, days in ((one, other), (other, one))
+        np.ptp(372 * years + 31 * months + days)
+        for months, days in ((first, second), (second, first))
     ]
-    no_months = [numbers > _LAST_MONTH for numbers in (one, other)]
-    named = [found[0]["mark"].join(day) for day in days]
-    if no_months[0].any() or no_months[1].any():
-        day_first = bool(no_months[0].any())
-        why = f", by {named[int(no_months[0 if day_first else 1].argmax())]}"
+    invalid_months = [numbers > _LAST_MONTH for numbers in (first, second)]
+    examples = [dates[0]["mark"].join(day) for day in days]
+    if invalid_months[0].any() or invalid_months[1].any():
+        day_first = bool(invalid_months[0].any())
+        why = f", by {examples[int(invalid_months[0 if day_first else 1].argmax())]}"
     else:
         day_first = bool(spans[1] < spans[0])
         why = ", in which rows are closer in time"
         if spans[0] == spans[1]:
             why = ", though both are possible: if this is wrong, write them as 2026-05-01"
     order = "day/month" if day_first else "month/day"
-    return day_first, f"dates such as {named[0]} are read as {order}/year{why}"
+    return day_first, f"dates such as {examples[0]} are read as {order}/year{why}"
 
 
 def date_words(nanoseconds: int) -> str:
-    """Return a date as in messages, or only a time of day."""
+    """Format a date, or a time of day within the first day of 1970, for messages."""
     instant = _EPOCH + timedelta(microseconds=nanoseconds // 1000)
     if nanoseconds < _DAY * _SECOND:
         return f"{instant:%H:%M:%S} of a day"
@@ -169,17 +169,17 @@ Mask = NDArray[np.bool_]
 Texts = NDArray[np.object_]
 
 MOST = 0.01
-"""Share of the rows that may be left out."""
+"""Largest fraction of rows that may be skipped."""
 
-_NAMED = 8  # rows, or runs of them, that are named
-_MOST_TORN = 100_000  # bad rows: a file with more is no log
-_AT_END = 3  # bad rows behind all others, which are left out unasked
+_NAMED = 8  # most runs of rows listed in a message
+_MOST_TORN = 100_000  # corrupt rows after which reading stops
+_AT_END = 3  # most corrupt rows at the end that are always skipped
 ADVICE = f"--skip-bad-rows skips such rows, up to {100 * MOST:g} % of a log."
 
 
 @dataclass
 class TornRows:
-    """Bad rows of a file while it is read."""
+    """Corrupt rows found while reading a file."""
 
     path: Path
     skip: bool = False
@@ -187,19 +187,19 @@ class TornRows:
     first: LogError | None = None
 
     def add(self, row: int, error: LogError) -> None:
-        """Take a bad row in."""
+        """Record a corrupt row."""
         self.first = self.first or error
         self.rows.append(row)
         if len(self.rows) > _MOST_TORN:
             raise self._refusal(self.rows, row + 1)
 
     def settle(self, time: Array) -> tuple[Mask, tuple[str, ...]]:
-        """Return the rows (N,) that are kept and a note, by time stamps (N,)."""
+        """Return a mask (N,) of the rows to keep and a note, given time stamps (N,)."""
         backwards, kept = rows_out_of_order(time), np.ones(len(time), bool)
         bad = np.union1d(self.rows, backwards).astype(int).tolist()
         if not bad:
             return kept, ()
-        count = min(len(self.rows), _AT_END)  # a last row that was cut off, or a few words
+        count = min(len(self.rows), _AT_END)  # a truncated row, or a few words
         cut = self.rows == [*range(len(time) - count, len(time))]
         few = len(bad) <= MOST * len(time) + cut * count
         if few and (self.skip or (cut and not len(backwards))):
@@ -213,7 +213,7 @@ class TornRows:
         raise self._refusal(bad, len(time))
 
     def _refusal(self, rows: Sequence[int], count: int) -> LogError:
-        """Return the first error, with how many of the first rows are wrong."""
+        """Return the first error, extended by the numbers of all corrupt rows."""
         first = self.first or LogError(f"Log {str(self.path)!r} has corrupt rows.")
         advice, few = first.advice, len(rows) <= MOST * count
         if len(rows) > 1 and (few or self.rows):
@@ -226,32 +226,32 @@ class TornRows:
 
 
 def rows_out_of_order(time: Array) -> NDArray[np.intp]:
-    """Return the fewest rows without which time stamps (N,) increase; NaN are in order."""
+    """Return the fewest rows to remove so that time stamps (N,), ignoring NaN, increase."""
     rows = np.flatnonzero(np.isfinite(time))
     stamps = time[rows]
     if np.all(np.diff(stamps) > 0):
         return np.zeros(0, int)
-    least: list[float] = []  # end of the sequence of each length that ends earliest
+    smallest: list[float] = []  # least last stamp of a subsequence of each length
     ends: list[int] = []
-    before = np.full(len(stamps), -1)
+    previous = np.full(len(stamps), -1)
     for k, stamp in enumerate(stamps.tolist()):
-        length = bisect_left(least, stamp)
-        if length == len(least):
-            least.append(stamp)
+        length = bisect_left(smallest, stamp)
+        if length == len(smallest):
+            smallest.append(stamp)
             ends.append(k)
         else:
-            least[length], ends[length] = stamp, k
-        before[k] = ends[length - 1] if length else -1
+            smallest[length], ends[length] = stamp, k
+        previous[k] = ends[length - 1] if length else -1
     kept, k = np.zeros(len(stamps), bool), ends[-1]
     while k >= 0:
         kept[k] = True
-        k = int(before[k])
+        k = int(previous[k])
     return rows[~kept]
 
 
 def _runs(rows: Sequence[int]) -> str:
-    """Return rows from 0 on as numbers from 1 on, runs of them as such."""
-    edges = [k for k, (one, other) in enumerate(pairwise(rows), 1) if other > one + 1]
+    """Format rows, counted from 0, as runs of row numbers from 1."""
+    edges = [k for k, (row, following) in enumerate(pairwise(rows), 1) if following > row + 1]
     runs = [rows[i:j] for i, j in pairwise([0, *edges, len(rows)])]
     words = [
         f"{run[0] + 1}" if len(run) == 1 else f"{run[0] + 1} to {run[-1] + 1}"
@@ -262,31 +262,25 @@ def _runs(rows: Sequence[int]) -> str:
 
 @dataclass(eq=False)
 class LogTable:
-    """Columns of numbers of a file of any format.
-
-    Readers of formats make it; which joint and quantity a column is of is found out afterwards.
-    Tables of text are read in parts.
-    """
+    """Columns of numbers from a file of any format, not yet assigned to joints and quantities."""
 
     path: Path
-    # (N,) numbers of each column, by its name in the file; NaN where nothing was measured. `time`,
-    # if the format has stamps of its own: s from the first sample.
+    # Name in the file -> numbers (N,), NaN if missing. Formats with their own time stamps add
+    # `time`, in s from the first sample.
     columns: Mapping[str, Array]
-    # Units of columns, where the file states them.
+    # Column -> unit, where the file states it.
     units: Mapping[str, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()  # what was noticed while reading, in words
-    # Columns of time that are in seconds, whatever anybody says -> when they are zero, ns since
-    # 1970; None if that is not known.
+    notes: tuple[str, ...] = ()  # remarks for the user
+    # Columns already converted to seconds -> date of their zero, ns since 1970, or None.
     origins: Mapping[str, int | None] = field(default_factory=dict)
-    # Columns that were left out -> why, in words.
+    # Column that was left out -> reason, in words.
     silent: Mapping[str, str] = field(default_factory=dict)
-    # (N,) texts of columns without numbers.
+    # Column without numbers -> texts (N,).
     words: Mapping[str, Texts] = field(default_factory=dict)
-    # Cells of the first row, where nobody names the columns: they are called by their numbers from
-    # 1 on.
+    # Cells of the first row of a file without column names, where names are numbers from 1.
     unnamed: tuple[str, ...] = ()
-    order: Sequence[str] = ()  # names that mappings count by, where columns were left out
-    # Rows a second and where the file says them, as in `dt`; used where it has no time.
+    order: Sequence[str] = ()  # all names, for numbers in mappings, if columns were left out
+    # Sampling rate (Hz) and its name in the file, such as `dt`; used if there is no time.
     rate: tuple[float, str] | None = None
 
     def __len__(self) -> int:
@@ -300,28 +294,28 @@ class LogTable:
 
     @property
     def counted(self) -> Sequence[str]:
-        """Names that mappings count by, from 1 on."""
+        """Names to which the column numbers in mappings refer, counted from 1."""
         return self.order or self.names
 
     @property
     def first_words(self) -> dict[str, str]:
-        """Columns without numbers -> their first word."""
+        """Column without numbers -> its first text."""
         return {name: str(cells[0]) for name, cells in self.words.items() if len(cells)}
 
     def is_time(self, name: str) -> bool:
-        """Return whether a column is time: by its name, or as the only one of dates."""
+        """Return whether a column is time, by its name or as the only column of dates."""
         if name not in self.origins:
             return is_time(name)
         return is_time(name) or not (len(self.origins) > 1 or any(map(is_time, self.names)))
 
     def has_numbers(self, name: str) -> bool:
-        """Return whether a column has a number."""
+        """Return whether a column contains a finite number."""
         return bool(np.isfinite(self.columns[name]).any())
 
     def read(
         self, names: Sequence[str], *, skip: bool = False
     ) -> tuple[dict[str, Array], TornRows]:
-        """Return some columns (N,), with unreadable rows as NaN or skipped."""
+        """Return some columns (N,), with NaN in unreadable rows, and these rows."""
         found = {name: self.columns[name] for name in dict.fromkeys(names)}
         return found, TornRows(self.path, skip)
 
@@ -330,25 +324,25 @@ class LogTable:
         return replace(self, columns=dict(self.columns))
 
     def renamed(self, names: Mapping[str, str]) -> LogTable:
-        """Return the table with other names of some columns."""
+        """Return the table with some columns renamed."""
         columns = {names.get(name, name): each for name, each in self.columns.items()}
         units = {names.get(name, name): unit for name, unit in self.units.items()}
         origins = {names.get(name, name): origin for name, origin in self.origins.items()}
         return replace(self, columns=columns, units=units, origins=origins)
 
     def under(self, head: str) -> LogTable:
-        """Return the table with a text before the names of columns other than time."""
+        """Return the table with a prefix before all names other than time."""
         return self.renamed({n: f"{head}{n}" for n in self.columns if not self.is_time(n)})
 
     def noting(self, *notes: str) -> LogTable:
-        """Return the table with further notes, first."""
+        """Return the table with notes prepended."""
         noted = copy(self)
         noted.notes = (*notes, *self.notes)
         return noted
 
 
 def numbered(cells: Sequence[str]) -> list[str]:
-    """Return numbers of columns from 1 on, as their names."""
+    """Return the numbers of columns, from 1, as their names."""
     return [str(k) for k in range(1, len(cells) + 1)]
 
 
@@ -362,8 +356,8 @@ NOTHING = frozenset(f(w) for w in _SAYS_NOTHING for f in (str, str.upper, str.ti
 """Cells that mean a missing value."""
 
 LIST = re.compile(r"(?:(?:array|tensor)\()?[\[({]([^\[\](){}]*)[\])}](?:, dtype=[\w.]+)?\)?")
-_BARE = re.compile(r"([^\s;]*\d\.[^\s;]*(?:(?:; ?| )[^\s;]*\d\.[^\s;]*)+)")  # without brackets
-_SCALAR = re.compile(r"np\.\w+\(([^()]*)\)")  # as NumPy writes those in a list
+_BARE = re.compile(r"([^\s;]*\d\.[^\s;]*(?:(?:; ?| )[^\s;]*\d\.[^\s;]*)+)")  # no brackets
+_SCALAR = re.compile(r"np\.\w+\(([^()]*)\)")  # NumPy scalars in a list
 _NO_AXIS = re.compile(r"9[Ee]\+?0?9")
 _FORTRAN = re.compile(r"(?<=\d)[Dd](?=[+-]\d)")  # in 1.5D+00
 _BETWEEN = re.compile(r"\s*[,;]\s*|\s+")
@@ -372,15 +366,15 @@ _NUMBERS = msgspec.json.Decoder(list[float])
 
 @dataclass(frozen=True)
 class Cells:
-    """Cells of a column: numbers, lists of numbers, or dates."""
+    """Type of the cells of a column: numbers, lists of numbers, or dates."""
 
-    count: int | None = None  # how many numbers each list has
-    origin: int | None = None  # the first date, ns since 1970
-    day_first: bool = False  # whether days come before months in dates with strokes
+    count: int | None = None  # length of each list
+    origin: int | None = None  # first date, ns since 1970
+    day_first: bool = False  # whether days precede months in dates with slashes
 
     @classmethod
     def of(cls, first: Any, *, day_first: bool = False) -> Cells | None:
-        """Return the kind of the first nonempty cell; None for words."""
+        """Return the type of a column from its first nonempty cell; None for words."""
         if (items := _list_in(first)) is not None:
             return cls(len(items))
         for order in (day_first, not day_first):
@@ -389,7 +383,7 @@ class Cells:
         return None if number_in(first) is None else cls()
 
     def numbers(self, cell: Any) -> list[float] | None:
-        """Return the numbers in a cell, a date as seconds since the first; None otherwise."""
+        """Return the numbers in a cell, or None. Dates become seconds since the first one."""
         found: list[float] | None = None
         if self.count is not None:
             items = _list_in(cell) or []
@@ -403,26 +397,26 @@ class Cells:
 
 
 def is_nothing(cell: Any) -> bool:
-    """Return whether a cell means a missing value, as empty lists do."""
+    """Return whether a cell is a missing value, such as an empty list."""
     if isinstance(cell, Sized) and not isinstance(cell, str):
         return not len(cell)
     return str(cell).strip() in NOTHING
 
 
 def _list_in(cell: Any) -> list[float] | None:
-    """Return the numbers of a list, or of a text such as `[0.1, 0.2]`; None otherwise."""
+    """Return the numbers of a list or of a text such as `[0.1, 0.2]`; None otherwise."""
     if isinstance(cell, str):
         try:
-            return _NUMBERS.decode(cell)  # as nearly all lists are JSON, which is read at once
+            return _NUMBERS.decode(cell)  # fast path: most lists are JSON
         except msgspec.DecodeError:
             cell = _SCALAR.sub(r"\1", cell.strip())
-            if cell.startswith("[["):  # of RAPID, where 9E+09 is an axis that there is not
+            if cell.startswith("[["):  # RAPID marks missing axes by 9E+09
                 items = (
                     x for x in re.split(r"[\[\],\s]+", cell) if x and not _NO_AXIS.fullmatch(x)
                 )
                 cell = f"[{','.join(items)}]"
-            found = LIST.fullmatch(cell) or _BARE.fullmatch(cell)
-            cell = _BETWEEN.split(found[1].strip()) if found else None
+            match = LIST.fullmatch(cell) or _BARE.fullmatch(cell)
+            cell = _BETWEEN.split(match[1].strip()) if match else None
     try:
         return [float(number) for number in cell] if isinstance(cell, Sized) else None  # type: ignore[attr-defined]
     except (TypeError, ValueError):
@@ -430,7 +424,7 @@ def _list_in(cell: Any) -> list[float] | None:
 
 
 def _date_text(value: Any) -> str:
-    """Return the text of a date, which may be an object; "" for anything else."""
+    """Return the text of a date or date object; "" for anything else."""
     text = value.isoformat() if isinstance(value, datetime) else value
     return text if isinstance(text, str) else ""
 
@@ -438,7 +432,7 @@ def _date_text(value: Any) -> str:
 def number_in(value: Any) -> float | None:
     """Return the number in a text or an object; None otherwise."""
     is_text = isinstance(value, str)
-    if is_text and "_" in value:  # which Python takes in its own numbers
+    if is_text and "_" in value:  # `float` accepts 1_000
         return None
     try:
         return float(value)
@@ -448,45 +442,46 @@ def number_in(value: Any) -> float | None:
 
 
 def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
-    """Return a table of numbers, wider arrays as columns `name[0]`, `name[1]` and so on.
+    """Return a table of numeric arrays; matrices become columns `name[0]`, `name[1]` and so on.
 
-    Arrays are (N,) or (N, n), of whatever can be made one. Dates and times become seconds: dates
-    from the first row on. A note says what was left out. A number alone may be the time from row to
-    row, or the rows a second.
+    Arrays, or what converts to them, are (N,) or (N, n). Dates become seconds from the first row.
+    Notes list the arrays left out. A scalar may be the sampling period or rate.
     """
     columns, notes = dict[str, Array](), dict[str, None]()
     origins, silent, words = {}, {}, dict[str, Texts]()
     rates = {name: rate for name, x in arrays.items() if (rate := rate_in(name, x)) is not None}
-    called = {len(names): names for x in arrays.values() if (names := _columns_in(x))}
+    headers = {len(names): names for x in arrays.values() if (names := _columns_in(x))}
     for name, given in arrays.items():
         if name in rates:
             continue
         values = array_of(given) if isinstance(given, list) else given
-        found, origin, note = numbers(values)
-        if found is not None and found.ndim == 2 and found.shape[0] != rows == found.shape[1]:
-            found = found.T
-        if found is not None and found.ndim in (1, 2) and 1 < len(found) == rows - 1:
-            found = np.concatenate([found, np.full_like(found[:1], np.nan)])  # inputs beside states
-        if found is None or found.ndim not in (1, 2) or len(found) != rows:
+        matrix, origin, note = numbers(values)
+        if matrix is not None and matrix.ndim == 2 and matrix.shape[0] != rows == matrix.shape[1]:
+            matrix = matrix.T
+        if matrix is not None and matrix.ndim in (1, 2) and 1 < len(matrix) == rows - 1:
+            matrix = np.concatenate(
+                [matrix, np.full_like(matrix[:1], np.nan)]
+            )  # inputs are one row shorter than states
+        if matrix is None or matrix.ndim not in (1, 2) or len(matrix) != rows:
             silent[name] = _what_else(values, rows)
             words |= _texts(name, values, rows)
             continue
-        own = called.get(found.shape[-1]) if found.ndim > 1 else None
-        columns.update(zip(own, found.T, strict=True) if own else spread(name, found))
+        header = headers.get(matrix.shape[-1]) if matrix.ndim > 1 else None
+        columns.update(zip(header, matrix.T, strict=True) if header else spread(name, matrix))
         if origin is not None:
             origins[name] = origin
         notes |= {note: None} if note else {}
-    lacking = [n for n in silent if n not in words and not _is_alone(arrays[n])]
-    said = (*notes, *(f"{n!r} is not used: it {silent[n]}" for n in lacking[:_MOST_NAMES]))
-    told = next(((rate, name) for name, rate in rates.items()), None)
-    return LogTable(path, columns, {}, said, origins, silent, words, rate=told)
+    unused = [n for n in silent if n not in words and not _is_alone(arrays[n])]
+    remarks = (*notes, *(f"{n!r} is not used: it {silent[n]}" for n in unused[:_MOST_NAMES]))
+    stated = next(((rate, name) for name, rate in rates.items()), None)
+    return LogTable(path, columns, {}, remarks, origins, silent, words, rate=stated)
 
 
 _HIGHEST_RATE = 1e5
 
 
 def rate_in(name: str, value: Any) -> float | None:
-    """Return the sampling rate from a scalar with a suitable name in a file, or None."""
+    """Return the sampling rate if a scalar is named as a rate or period; None otherwise."""
     word = re.sub(r"[^a-z]", "", re.split(r"[./]", name.lower())[-1])
     is_rate = word in WORDS["rates"].split()
     if not _is_alone(value) or not (is_rate or word in WORDS["periods"].split()):
@@ -497,7 +492,7 @@ def rate_in(name: str, value: Any) -> float | None:
 
 
 def _columns_in(values: Any) -> list[str]:
-    """Return the names of columns of a matrix, if an array has such; otherwise an empty list."""
+    """Return an array of texts as column names of a matrix; an empty list otherwise."""
     is_list = isinstance(values, list) or getattr(values, "ndim", 0) == 1
     cells = [*values] if is_list and 1 < len(values) < _MOST_NAMED else []
     cells = [x.decode(errors="replace") if isinstance(x, bytes) else x for x in cells]
@@ -505,17 +500,17 @@ def _columns_in(values: Any) -> list[str]:
 
 
 def _texts(name: str, values: Any, rows: int) -> dict[str, Texts]:
-    """Return the texts of an array, or its lists of texts, (N,).
+    """Return the texts or lists of texts (N,) in an array, by its name.
 
-    A list of different names alone, as of joints, is that of each row.
+    A single list of distinct names, such as joint names, applies to every row.
     """
     cells = [] if _is_alone(values) else [_text(value) for value in values]
     names = {cell for cell in cells if isinstance(cell, str)}
     if len(names) == len(cells) != rows and cells:
         cells = [cells] * rows  # type: ignore[list-item]
-    found = np.empty(len(cells), object)
-    found[:] = cells
-    return {name: found} if len(cells) == rows > 0 and None not in cells else {}
+    texts = np.empty(len(cells), object)
+    texts[:] = cells
+    return {name: texts} if len(cells) == rows > 0 and None not in cells else {}
 
 
 def _text(value: Any) -> str | list[str] | None:
@@ -533,22 +528,22 @@ def _is_alone(value: Any) -> bool:
 
 
 def rows_of(arrays: Mapping[str, Any]) -> int:
-    """Return the number of rows of a log of arrays: that of its time, or of most arrays."""
-    several = {name: values for name, values in arrays.items() if not _is_alone(values)}
-    timed = {n: x for n, x in several.items() if is_time(n) and max(np.shape(x)) == np.size(x)}
-    lengths = [max(getattr(x, "shape", (len(x),))) for x in (timed or several).values()]
+    """Return the number of rows of a log: the length of its time, or of most arrays."""
+    longer = {name: values for name, values in arrays.items() if not _is_alone(values)}
+    timed = {n: x for n, x in longer.items() if is_time(n) and max(np.shape(x)) == np.size(x)}
+    lengths = [max(getattr(x, "shape", (len(x),))) for x in (timed or longer).values()]
     return max(set(lengths), key=lambda length: (lengths.count(length), length), default=0)
 
 
 def _what_else(values: Any, rows: int) -> str:
-    """Return a description of an array without numbers."""
+    """Describe, for a message, why an array was left out."""
     if np.ndim(values) == 0:
         return f"has only one value, {str(values)[:_LONGEST_TEXT]!r}"
     if np.ndim(values) > 2 or len(values) != rows:
-        many = f"has {len(values)} rows, but others have {rows}"
-        wide = f"has the shape {np.shape(values)} instead of a row for each sample"
-        return wide if np.ndim(values) > 2 else many
-    bad = next(
+        mismatch = f"has {len(values)} rows, but others have {rows}"
+        shape = f"has the shape {np.shape(values)} instead of a row for each sample"
+        return shape if np.ndim(values) > 2 else mismatch
+    text = next(
         (x for x in values if isinstance(x, str) and not is_nothing(x) and number_in(x) is None), ""
     )
     cells = [x for x in values if isinstance(x, Sized | int | float) and not isinstance(x, str)]
@@ -557,8 +552,8 @@ def _what_else(values: Any, rows: int) -> str:
         usual = max({*lengths}, key=lengths.count)
         row, length = next((k, n) for k, n in enumerate(lengths, 1) if n not in (0, usual))
         return f"has lists of {usual} numbers, but one of {length} in row {row}"
-    if bad:
-        return f"has {bad[:_LONGEST_TEXT]!r}, which is neither a number nor a date"
+    if text:
+        return f"has {text[:_LONGEST_TEXT]!r}, which is neither a number nor a date"
     kind = getattr(values, "dtype", np.dtype(object))
     return "has no numbers" if kind.hasobject else f"has {kind}, not real numbers"
 
@@ -574,10 +569,10 @@ def spread(name: str, values: Array) -> Iterator[tuple[str, Array]]:
 
 
 def numbers(values: Any) -> tuple[Array | None, int | None, str]:
-    """Return an array of floats, NaN where empty; None for arrays without numbers.
+    """Convert an array to floats with NaN for missing values, or to None if not numeric.
 
-    Of dates, the seconds from the first on, and the first, ns since 1970; and in which order they
-    are taken, if that is a question.
+    Dates become seconds from the first one. Also returns the first date (ns since 1970), and a
+    note on the order of day and month if it is ambiguous.
     """
     if isinstance(values, np.ma.MaskedArray):
         missing, values = np.ma.getmaskarray(values), np.array(values.data, object)
@@ -609,7 +604,7 @@ def array_of(values: Any) -> NDArray[Any]:
 
 
 def _of_objects(array: NDArray[Any]) -> tuple[Array | None, int | None, str]:
-    """Return numbers from lists, or from objects that are numbers, dates or None; see `numbers`."""
+    """Convert an array of lists, numbers, dates or None; see `numbers`."""
     if {*map(type, array.flat)} <= _NUMBERS_OR_NONE:
         return array.astype(float), None, ""
     first = next((value for value in array.flat if not is_nothing(value)), np.nan)

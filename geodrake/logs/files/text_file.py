@@ -1,4 +1,4 @@
-"""Logs in tables of text, CSV and its kin: how they are laid out, and their numbers."""
+"""Logs in text tables such as CSV: detect their layout, and read their numbers."""
 
 from __future__ import annotations
 
@@ -55,23 +55,23 @@ from geodrake.logs.files.table import (
 from geodrake.logs.files.units import UNITS, WORDS, find_unit
 
 _COMMENTS = ("#", "%", "//")
-_RULES = ("---", "===")  # between rows, where they stand without numbers
-_HEADER_LINES = 1000  # of a header whose names have line ends
-_PREFACE = 100  # lines, among which names are looked for
-_KEYED_ROWS = 4  # rows above numbers that begin with what they say, at least
-_LINES_AHEAD = 1000  # in which dates, lists and words are looked for
+_RULES = ("---", "===")  # separator lines, if they contain no numbers
+_HEADER_LINES = 1000  # most lines of a header with line breaks in names
+_PREFACE = 100  # lines searched for names
+_KEYED_ROWS = 4  # least rows above the numbers that begin with a keyword
+_LINES_AHEAD = 1000  # lines searched for dates, lists and words
 _WHITESPACE = None
 _KEYED = re.compile(  # a name and its number, or a list of numbers
     r"(?<![\w.\])])([A-Za-z_][^:=\s,;]*)\s*[:=]\s*"
     r"(\[[^\]]*\]|\([^)]*\)|[+-]?(?:\.?\d|nan|inf)[^\s,;]*(?:\s+[+-]?\.?\d[^\s,;:=]*(?!\S))*)"
 )
-_STAMP = re.compile(r"\[ *(\d+\.\d+) *\]")  # of a line, as ROS's console has it
-_COLOUR = re.compile(r"\x1b\[[\d;]*m")  # of a terminal
+_STAMP = re.compile(r"\[ *(\d+\.\d+) *\]")  # as in ROS console output
+_COLOUR = re.compile(r"\x1b\[[\d;]*m")  # terminal escape sequence
 _MAY_BE_MARKED = defaultdict(
     lambda: re.compile(r"\d[,'’ \u00a0\u202f]\d|,\d|\d\.\d{3}(?!\d)"),
     {",": re.compile('"'), _WHITESPACE: re.compile("[,'’]")},
 )
-"""Separator -> differences of its numbers from Python's notation."""
+"""Separator -> pattern of numbers that may differ from Python's notation."""
 
 _UNIT_BEHIND = re.compile(r"\s+(?=[\[(][^\d\W][^\])]*[\])])")  # blanks before `[rad]`
 _NUMBER_OF = re.compile(r"[+-]?[\d.,]+\s*([^\W\d]\S*|°\S*|%)")  # a unit
@@ -79,53 +79,53 @@ _MEASURED = re.compile(r"[+-]?\d+[.,]\d+([eE][+-]?\d+)?")
 _HEADS = [head.split() for head in WORDS["heads"]]
 _SEVERAL = re.compile(r"(.*?[^\W\d])[\[({](\d+)[\])}](\s*[\[(][^\d\W].*)?")  # q[6] [rad]
 _SPAN = re.compile(r"(.*?)(\d+)(?:-|–|:|\.{2,3}|…|\s+to\s+)(?:\1)?(\d+)(.*)")  # q1-q6, q_0..5
-_EXCEL = re.compile(r'"?sep=(.)"?')  # the first line of what is to be opened by it
+_EXCEL = re.compile(r'"?sep=(.)"?')  # first line of files for Excel
 
 
 @dataclass(frozen=True)
 class TextLayout:
-    """How a table is laid out."""
+    """Layout of a text table."""
 
     names: tuple[str, ...]
     separator: str | None
     decimal: str
     lines: int
-    # Units of columns, where the line after the header has them.
+    # Column -> unit, from the line after the header.
     units: Mapping[str, str] = field(default_factory=dict)
-    # Cells of the first row, where nobody names the columns; see `LogTable`.
+    # Cells of the first row of a file without column names; see `LogTable`.
     unnamed: tuple[str, ...] = ()
-    is_keyed: bool = False  # whether each cell has its name, as in `q=0.1`; a date may come first
-    # The first cells of columns that have something.
+    is_keyed: bool = False  # whether cells are pairs such as `q=0.1`, perhaps after a date
+    # Column -> its first nonempty cell.
     first: Mapping[str, str] = field(default_factory=dict)
-    day_first: frozenset[str] = frozenset()  # columns of dates in which days come before months
-    # Place of a column -> the mark between its thousands, which the note says.
+    day_first: frozenset[str] = frozenset()  # columns of dates with the day before the month
+    # Index of a column -> its thousands separator.
     grouped: Mapping[int, str] = field(default_factory=dict)
     note: str = ""
 
     @cached_property
     def kinds(self) -> dict[str, Cells | None]:
-        """Kinds of the cells of columns that are not empty; None for words."""
+        """Column -> type of its cells, None for words; without empty columns."""
         cells = self.first.items()
         return {name: Cells.of(cell, day_first=name in self.day_first) for name, cell in cells}
 
     @cached_property
     def columns(self) -> list[tuple[str, int, int]]:
-        """Name of each column, those of a list one by one; its cell in a row, and place in that."""
-        found = list[tuple[str, int, int]]()
+        """Name, index of the cell, and index in the list of each column; lists are expanded."""
+        columns = list[tuple[str, int, int]]()
         for cell, name in enumerate(self.names):
             kind = self.kinds.get(name)
             items = None if kind is None or kind.count is None else range(kind.count)
-            found += [(name, cell, 0)] if items is None else []
-            found += [(f"{name}[{k}]", cell, k) for k in items or ()]
-        return found
+            columns += [(name, cell, 0)] if items is None else []
+            columns += [(f"{name}[{k}]", cell, k) for k in items or ()]
+        return columns
 
     @property
     def words(self) -> list[str]:
-        """Names of columns of words."""
+        """Names of the columns of words."""
         return [name for name, kind in self.kinds.items() if kind is None]
 
     def cells(self, lines: Sequence[str]) -> Iterator[tuple[int, list[str]]]:
-        """Yield the number and cells of every line that is neither empty nor a comment."""
+        """Yield the line number and cells of each line that is not empty, a comment or a rule."""
         if self.is_keyed:
             rows = ((k, [cell for _, cell in _keyed(line)]) for k, line in enumerate(lines, 1))
         elif self.separator is None:
@@ -136,42 +136,42 @@ class TextLayout:
         names, is_usual = [*self.names], self.decimal == "." and not self.grouped
         for line, cells in rows:
             first = cells[0].lstrip() if cells else "#"
-            told = next(filter(None, map(str.strip, cells)), "")
-            is_rule = told.startswith(_RULES) and not any(map(is_number, cells))
+            text = next(filter(None, map(str.strip, cells)), "")
+            is_rule = text.startswith(_RULES) and not any(map(is_number, cells))
             if first.startswith(_COMMENTS) or is_rule or cells == names:
                 continue
             trailing = len(cells) == len(names) + 1 and not cells[-1].strip()
-            kept = cells[:-1] if trailing else cells  # a separator behind the last cell
+            kept = cells[:-1] if trailing else cells  # a final separator
             if not is_usual:
                 kept = [plain(c, self.decimal, self.grouped.get(k)) for k, c in enumerate(kept)]
             yield line, kept
 
 
 def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout:
-    """Return the layout of a table of some lines."""
+    """Detect the layout of a table from its first lines."""
     lines = [*islice(file, _HEADER_LINES + _LINES_AHEAD)]
     begin, comment = _first_line(lines)
     lines.append("")
     above, data, mark = _rows_above(lines, begin)
     keyed_names, units = _keyed_names([cells for _, cells in above], lines[data:], mark)
-    whole = (k for k, cells in above if all(cells) and len({*cells}) == len(cells))
-    begin = next(whole, above[0][0] if above else begin)  # names that tell the columns apart
-    is_of_rows = data > begin and len(_cells_of(lines[begin], mark)) == len(
+    distinct = (k for k, cells in above if all(cells) and len({*cells}) == len(cells))
+    begin = next(distinct, above[0][0] if above else begin)  # the first row of distinct names
+    is_aligned = data > begin and len(_cells_of(lines[begin], mark)) == len(
         _cells_of(lines[data], mark)
     )
-    separator = mark if is_of_rows else _separator(lines[begin])
+    separator = mark if is_aligned else _separator(lines[begin])
     cells, after = _header_cells(path, lines, begin, separator)
     names: Sequence[str] = () if reading.columns else _joint_state(cells)
     unnamed = tuple[str, ...]()
     first, second = (_keyed("".join(lines[k : k + 1])) for k in (begin, after))
-    keyed, again = ([name for name, _ in each] for each in (first, second))
-    if is_keyed := len(keyed) > 1 and keyed == again:
+    keyed, repeated = ([name for name, _ in each] for each in (first, second))
+    if is_keyed := len(keyed) > 1 and keyed == repeated:
         names = keyed
     elif keyed_names and not reading.columns:
         names, separator, begin = keyed_names, mark, data
     elif not names and (_are_numbers(cells) or any(map(_MEASURED.fullmatch, cells))):
-        told = renamed(path, reading, cells) if reading.columns else ()
-        names = told or _names_in_comment(cells, comment)
+        given = renamed(path, reading, cells) if reading.columns else ()
+        names = given or _names_in_comment(cells, comment)
         unnamed = () if names else tuple(cells)
         names = names or numbered(cells)
     elif not names:
@@ -184,32 +184,32 @@ def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout
         units = _units(header, lines[begin].split(separator))
         names, begin = _with_units(header, units), begin + bool(units)
         while sum(map(bool, _cells_of(lines[begin], separator))) == 1 < len(names):
-            begin += 1  # over a title of the numbers
+            begin += 1  # skip a title above the numbers
     layout = TextLayout(tuple(names), separator, ".", begin, units, unnamed, is_keyed)
     below = lines[begin : begin + _LINES_AHEAD]
     if _MAY_BE_MARKED[separator].search("".join(below)):
-        with suppress(csv.Error):  # said when the rows are read
+        with suppress(csv.Error):  # reported when the rows are read
             decimal, grouped, note = number_marks(path, [each for _, each in layout.cells(below)])
             layout = replace(layout, decimal=decimal, grouped=grouped, note=note)
     return replace(layout, first=_first_cells(layout, below))
 
 
 def _keyed(line: str) -> list[tuple[str, str]]:
-    """Return names and cells of a line that has them together, and a time before these."""
+    """Return the pairs of names and cells in a line, after its time stamp if there is one."""
     line = _COLOUR.sub("", line)
     if (first := _KEYED.search(line)) is None:
         return []
     stamps = (_STAMP.search(line), DATE.search(line))
     stamp = next((each for each in stamps if each and each.start() <= first.start()), None)
-    found = [("time", (stamp[1] if stamp.re is _STAMP else stamp[0]).strip())] if stamp else []
+    pairs = [("time", (stamp[1] if stamp.re is _STAMP else stamp[0]).strip())] if stamp else []
     for name, cell in _KEYED.findall(line, stamp.end() if stamp else 0):
-        is_row = " " in cell and cell[0] not in "[("  # of numbers with blanks between them
-        found.append((name, f"[{cell}]" if is_row else cell))
-    return found if len(found) > bool(stamp) else []
+        is_row = " " in cell and cell[0] not in "[("  # numbers separated by blanks
+        pairs.append((name, f"[{cell}]" if is_row else cell))
+    return pairs if len(pairs) > bool(stamp) else []
 
 
 def _first_line(lines: Sequence[str]) -> tuple[int, str]:
-    """Return the place of the line with the names, or else of the first row; the last comment."""
+    """Return the index of the first line of content, and the last comment before it."""
     comment = ""
     for k, line in enumerate(lines[:_HEADER_LINES]):
         plain = line.strip()
@@ -223,25 +223,25 @@ def _first_line(lines: Sequence[str]) -> tuple[int, str]:
 def _rows_above(
     lines: Sequence[str], begin: int
 ) -> tuple[list[tuple[int, list[str]]], int, str | None]:
-    """Return rows right above the numbers and as wide, where these begin, and their separator.
+    """Return the header rows right above the numbers, the first row of numbers, and the separator.
 
-    Free text and titles above are left out. There are none in tables without two rows of numbers.
+    Header rows have as many cells as the numbers. Two rows of numbers are needed to find them.
     """
-    for is_timed, at in product((True, False), range(begin, begin + _PREFACE)):
-        separator = _separator("".join(lines[at : at + 1]))
-        both = [_cells_of("".join(lines[k : k + 1]), separator) for k in (at, at + 1)]
-        first = both[0]
-        are_rows = all(2 * sum(map(is_number, cells)) > len(cells) for cells in both)
-        are_rows &= not is_timed or all(_are_numbers(cells[:1]) for cells in both)
-        if len(first) == len(both[1]) > 1 and are_rows:
+    for is_timed, first_row in product((True, False), range(begin, begin + _PREFACE)):
+        separator = _separator("".join(lines[first_row : first_row + 1]))
+        pair = [_cells_of("".join(lines[k : k + 1]), separator) for k in (first_row, first_row + 1)]
+        first = pair[0]
+        are_rows = all(2 * sum(map(is_number, cells)) > len(cells) for cells in pair)
+        are_rows &= not is_timed or all(_are_numbers(cells[:1]) for cells in pair)
+        if len(first) == len(pair[1]) > 1 and are_rows:
             break
     else:
         return [], begin, None
-    rows = [(k, _cells_of(lines[k], separator)) for k in range(begin, at)]
-    rows = [(k, cells) for k, cells in rows if sum(map(bool, cells)) > 1]  # no titles or rules
-    wide = takewhile(lambda row: len(row[1]) - len(first) in (0, 1), reversed(rows))
-    above = dropwhile(lambda row: _are_numbers(row[1][:1]), reversed([*wide]))
-    return [*above], at, separator
+    rows = [(k, _cells_of(lines[k], separator)) for k in range(begin, first_row)]
+    rows = [(k, cells) for k, cells in rows if sum(map(bool, cells)) > 1]  # skip titles and rules
+    same_width = takewhile(lambda row: len(row[1]) - len(first) in (0, 1), reversed(rows))
+    above = dropwhile(lambda row: _are_numbers(row[1][:1]), reversed([*same_width]))
+    return [*above], first_row, separator
 
 
 def _keyed_names(
@@ -249,12 +249,12 @@ def _keyed_names(
 ) -> tuple[Sequence[str], dict[str, str]]:
     """Return names and units from rows that begin with a keyword, or none.
 
-    TwinCAT and LabVIEW write several, such as `Name`, `SampleTime[ms]` and `Unit`. The first column
-    of the numbers in these lines is time, and so are others of its name.
+    TwinCAT and LabVIEW write rows such as `Name`, `SampleTime[ms]` and `Unit`. The first column is
+    time, as are others of the same name.
     """
     keys = {cells[0] for cells in above if not _are_numbers(cells[:1])} - {""}
     counts = [len({name for name in cells if meaning_of(name) is not None}) for cells in above]
-    if not len(above) == len(keys) >= _KEYED_ROWS or not any(counts):  # but rows of few numbers
+    if not len(above) == len(keys) >= _KEYED_ROWS or not any(counts):  # rows with few numbers
         return (), {}
     header = above[counts.index(max(counts))][: len(_cells_of(lines[0], separator))]
     clock = "Time" if meaning_of(header[0]) is None else header[0]
@@ -264,7 +264,7 @@ def _keyed_names(
 
 
 def _cells_of(line: str, separator: str | None) -> list[str]:
-    """Return the cells of a single line."""
+    """Split a single line into cells."""
     if separator is None:
         return line.split()
     with suppress(csv.Error):
@@ -275,14 +275,14 @@ def _cells_of(line: str, separator: str | None) -> list[str]:
 def _whole_header(
     header: Sequence[str], lines: Sequence[str], after: int, separator: str | None
 ) -> tuple[Sequence[str], int]:
-    """Return the header extended by lines below it, and the index of the line after it.
+    """Return the header extended by the lines below it, and the index of the line after it.
 
-    Names that come twice may have further levels below. Rows may have names that no column has.
+    Duplicate names may continue in levels below. Rows may begin with a name or number.
     """
-    below, spread = _cells_of(lines[after], separator), list[str]()
-    for name in header:  # that of several cells stands in the first
-        spread.append(name or "".join(spread[-1:]))
-    names, next_line = spread, after
+    below, filled = _cells_of(lines[after], separator), list[str]()
+    for name in header:  # a merged cell stores its name in the first
+        filled.append(name or "".join(filled[-1:]))
+    names, next_line = filled, after
     while len(set(names)) < len(header) == len(below):
         if not below[-1] or any(map(is_number, below)):
             break
@@ -291,47 +291,47 @@ def _whole_header(
         below = _cells_of(lines[next_line], separator)
     if len(set(names)) == len(header) and next_line > after:
         header, after = names, next_line
-        if below[:1] > [""] and not any(below[1:]):  # a name that pandas gives the index
+        if below[:1] > [""] and not any(below[1:]):  # the index name in files of pandas
             header, after = [below[0], *header[1:]], after + 1
             below = _cells_of(lines[after], separator)
-    counts = [spread.count(name) for name in header if name and spread.count(name) > 1]
-    is_of_blanks = not all(header) and all(spread) and len(counts) > 1 == len({*counts})
+    counts = [filled.count(name) for name in header if name and filled.count(name) > 1]
+    is_of_blanks = not all(header) and all(filled) and len(counts) > 1 == len({*counts})
     if is_of_blanks and len(header) == len(below) and all(map(is_number, below)):
-        header = spread
+        header = filled
     header = _of_several(header, len(below))
     if len(below) == len(header) + 1 and all(below) and any(map(is_number, below)):
-        header = ["_row", *header]  # which have numbers or names, as R and pandas write them
+        header = ["_row", *header]  # unnamed row index, as R and pandas write it
     return header, after
 
 
 def _of_several(names: Sequence[str], count: int) -> Sequence[str]:
-    """Return names of single columns, where one stands for several, as `q[6]` or `q1-q6` does."""
-    found = list[str]()
+    """Expand names that stand for several columns, such as `q[6]` or `q1-q6`, to `count` names."""
+    expanded = list[str]()
     for name in names if len(names) != count else ():
         several, span = _SEVERAL.fullmatch(name), _SPAN.fullmatch(name)
         if several and int(several[2]) <= count:
             head, number, unit = several.groups("")
             items = [f"{head}[{k}]{unit}" for k in range(int(number))]
-            found += items if len(items) > 1 else [head + unit]
+            expanded += items if len(items) > 1 else [head + unit]
         elif span and 0 < int(span[3]) - int(span[2]) < count:
             numbers = range(int(span[2]), int(span[3]) + 1)
-            found += [f"{span[1]}{k}{span[4]}" for k in numbers]
+            expanded += [f"{span[1]}{k}{span[4]}" for k in numbers]
         else:
-            found.append(name)
-    return found if len(found) == count else names
+            expanded.append(name)
+    return expanded if len(expanded) == count else names
 
 
 def _told_apart(header: Sequence[str]) -> list[str]:
-    """Return names with numbers where they come again, as pandas does; not geodrake's own ones."""
-    counts, found = dict[str, int](), list[str]()
+    """Number duplicate names as pandas does, except geodrake's own."""
+    counts, unique = dict[str, int](), list[str]()
     for name in header:
         k = counts[name] = counts.get(name, -1) + 1
-        found.append(name if not k or "." in name else f"{name}.{k}")
-    return found
+        unique.append(name if not k or "." in name else f"{name}.{k}")
+    return unique
 
 
 def _of_levels(name: str, below: str) -> str:
-    """Return the name of a column in two lines, its quantity last; below time may be its unit."""
+    """Join two header levels of a column, with the quantity last, or time with its unit."""
     is_unit = is_time(name) and find_unit(below.strip("[]()"), "time") is not None
     if is_unit:
         return f"{name} [{below.strip('[]()')}]"
@@ -340,7 +340,7 @@ def _of_levels(name: str, below: str) -> str:
 
 
 def _joint_state(cells: Sequence[str]) -> tuple[str, ...]:
-    """Return names for the cells of a JointState from ROS's `topic echo`, or none."""
+    """Return column names if the cells are a JointState from ROS's `topic echo`, or none."""
     for head in _HEADS:
         count, odd = divmod(len(cells) - len(head), 4)
         names, rest = cells[len(head) : len(head) + count], cells[len(head) + count :]
@@ -352,9 +352,9 @@ def _joint_state(cells: Sequence[str]) -> tuple[str, ...]:
 
 
 def _first_cells(layout: TextLayout, lines: Sequence[str]) -> dict[str, str]:
-    """Return the first cells of columns that have something."""
+    """Return the first nonempty cell of each column."""
     first: dict[str, str] = {}
-    with suppress(csv.Error):  # said when the rows are read
+    with suppress(csv.Error):  # reported when the rows are read
         for _, cells in layout.cells(lines):
             for name, cell in zip(layout.names, cells, strict=False):
                 if name not in first and not is_nothing(cell):
@@ -363,39 +363,39 @@ def _first_cells(layout: TextLayout, lines: Sequence[str]) -> dict[str, str]:
 
 
 def _units(header: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
-    """Return units in a row below the header: as many as names, most of them known."""
+    """Return the units in the row below the header, if most of its cells are known units."""
     if len(cells) != len(header):
         return {}
     cells = [cell.strip(' \t\r\n[]()"') for cell in cells]
-    known = {cell for cell in set(cells) if any(find_unit(cell, each) for each in UNITS)}
-    key = None if is_number(cells[0]) else cells[0] or None  # such as Unit
-    asked = [cell for cell in cells if cell != key or cell in known]
-    if 2 * sum(cell in known for cell in asked) <= len(asked):
+    units = {cell for cell in set(cells) if any(find_unit(cell, each) for each in UNITS)}
+    key = None if is_number(cells[0]) else cells[0] or None  # a keyword such as Unit
+    relevant = [cell for cell in cells if cell != key or cell in units]
+    if 2 * sum(cell in units for cell in relevant) <= len(relevant):
         return {}
-    return {n: c for n, c in zip(header, cells, strict=True) if c and (c != key or c in known)}
+    return {n: c for n, c in zip(header, cells, strict=True) if c and (c != key or c in units)}
 
 
 def _with_units(names: Sequence[str], units: Mapping[str, str]) -> list[str]:
-    """Return uninformative names together with their units."""
+    """Append units to names that are not recognized without them."""
     return [n if meaning_of(n) or not units.get(n) else f"{n} [{units[n]}]" for n in names]
 
 
 def _separator(line: str) -> str | None:
-    """Return the separator of cells in a line; commas may be decimal ones."""
+    """Return the separator of cells in a line, in which commas may be decimal."""
     counts = {mark: line.count(mark) for mark in (",", ";", "\t", "|")}
-    most = max(counts, key=lambda mark: counts[mark])
+    commonest = max(counts, key=lambda mark: counts[mark])
     for mark in ";\t":
         if counts[mark] and _are_numbers([c.replace(",", ".") for c in line.strip().split(mark)]):
             return mark
-    if counts[most]:
-        return most
+    if counts[commonest]:
+        return commonest
     return _WHITESPACE if len(line.split()) > 1 else ","
 
 
 def _header_cells(
     path: Path, lines: Sequence[str], begin: int, separator: str | None
 ) -> tuple[list[str], int]:
-    """Return cells of a line, which may go on in those below it, and the place after it."""
+    """Return the cells of the header, which may contain line breaks, and the index after it."""
     if separator is None:
         return _UNIT_BEHIND.sub("", lines[begin]).split(), begin + 1
     below = lines[begin : begin + _HEADER_LINES]
@@ -419,7 +419,7 @@ def _are_numbers(cells: Sequence[str]) -> bool:
 
 
 def renamed(path: Path, reading: Reading, cells: Sequence[str]) -> Sequence[str]:
-    """Return the names given by the user, which must match the number of columns."""
+    """Return the column names given by the user, after checking their number."""
     names = _of_several(reading.columns, len(cells))
     if len(names) != len(cells):
         raise LogError(
@@ -430,7 +430,7 @@ def renamed(path: Path, reading: Reading, cells: Sequence[str]) -> Sequence[str]
 
 
 def _names_in_comment(cells: Sequence[str], comment: str) -> Sequence[str]:
-    """Return names in the comment before a first line of numbers, if they are as many."""
+    """Return the names in the comment above the numbers, if their number matches."""
     named = [name.strip() for name in re.split("[,;\t]", comment)]
     for each in (named, _UNIT_BEHIND.sub("", comment).split(), comment.split()):
         names = _of_several(each, len(cells))
@@ -439,21 +439,21 @@ def _names_in_comment(cells: Sequence[str], comment: str) -> Sequence[str]:
     return ()
 
 
-_MANY = 500_000  # bytes, from which on Arrow is imported
-_BLOCK = 2_000_000  # bytes that are read at once
-_HEAD, _LARGEST_OTHER = 65_536, 500_000_000  # bytes by which others than UTF-8 are known; read
-_LONGEST = 8_000_000  # bytes of a line, which hold 400,000 numbers
+_MANY = 500_000  # bytes above which importing Arrow pays
+_BLOCK = 2_000_000  # bytes read at once
+_HEAD, _LARGEST_OTHER = 65_536, 500_000_000  # bytes to detect an encoding; most if not UTF-8
+_LONGEST = 8_000_000  # bytes of a line, enough for 400,000 numbers
 _LINE_ENDS = re.compile(rb"\r\n?|\n")
 
 Opener = Callable[[], AbstractContextManager[BinaryIO]]
-"""Function that reopens the bytes of a table."""
+"""Function that opens the bytes of a table."""
 
 
 class TextTable(LogTable):
     """A table of text, read block by block."""
 
     def __init__(self, path: Path, layout: TextLayout, opened: Opener) -> None:
-        """Take how the table is laid out, and what opens it."""
+        """Store the layout of the table, and the function that opens it."""
         kinds = layout.kinds.items()
         origins = {name: kind.origin for name, kind in kinds if kind and kind.origin is not None}
         super().__init__(path, {}, layout.units, (), origins, unnamed=layout.unnamed)
@@ -465,44 +465,44 @@ class TextTable(LogTable):
         return [name for name, _, _ in self._layout.columns]
 
     def has_numbers(self, name: str) -> bool:
-        """Return whether a column has a number among the first rows."""
+        """Return whether a column has a value in the first rows."""
         return any(name in (each, f"{each}[0]") for each in self._layout.first)
 
     @property
     def first_words(self) -> dict[str, str]:
-        """Columns without numbers -> their first word."""
+        """Column without numbers -> its first text."""
         return {name: self._layout.first[name] for name in self._layout.words}
 
     def read(
         self, names: Sequence[str], *, skip: bool = False
     ) -> tuple[dict[str, Array], TornRows]:
-        """Return some columns (N,), which grow block by block; see `LogTable`."""
+        """Return some columns (N,), read block by block; see `LogTable.read`."""
         layout, torn, row = self._layout, TornRows(self.path, skip), 0
-        known = {name: (cell, item) for name, cell, item in reversed(layout.columns)}
-        places = {name: known[name] for name in names}
+        place_of = {name: (cell, item) for name, cell, item in reversed(layout.columns)}
+        places = {name: place_of[name] for name in names}
         kinds = {k: layout.kinds.get(layout.names[k]) or Cells() for k, _ in places.values()}
         is_plain = all(kind == Cells() for kind in kinds.values())
-        found = {name: array("d") for name in places}
+        values_of = {name: array("d") for name in places}
         for line, block in _blocks(self.path, self._opened, layout.lines) if places else ():
             columns = [cell for cell, _ in places.values()]
             table = _by_arrow(block, layout, columns) if is_plain and len(block) > _MANY else None
             if table is None:
                 rows = self._cells(_lines(block), [*places.values()], kinds, (row, line), torn)
                 table = [*np.array(rows, float).reshape(-1, len(places)).T.copy()]
-            for values, column in zip(found.values(), table, strict=True):
+            for values, column in zip(values_of.values(), table, strict=True):
                 values.frombytes(column.view(np.uint8).data)
             row += len(table[0])
             check_room(self.path, row * len(places), f"{row} rows of {len(places)} numbers")
-        return {name: np.frombuffer(values) for name, values in found.items()}, torn
+        return {name: np.frombuffer(values) for name, values in values_of.items()}, torn
 
     def texts(self, names: Sequence[str]) -> dict[str, NDArray[np.object_]]:
         """Return the texts (N,) of some columns."""
         places = [self._layout.names.index(name) for name in names]
         blocks = _blocks(self.path, self._opened, self._layout.lines) if names else ()
         rows = (cells for _, block in blocks for _, cells in self._layout.cells(_lines(block)))
-        found = [[c[k].strip() if k < len(c) else "" for k in places] for c in rows]
+        texts = [[c[k].strip() if k < len(c) else "" for k in places] for c in rows]
         return dict(
-            zip(names, np.array(found, object).reshape(len(found), len(names)).T, strict=True)
+            zip(names, np.array(texts, object).reshape(len(texts), len(names)).T, strict=True)
         )
 
     def _cells(
@@ -513,14 +513,14 @@ class TextTable(LogTable):
         before: tuple[int, int],
         torn: TornRows,
     ) -> list[list[Any]]:
-        """Parse lines cell by cell into K rows of some columns: slower, but errors name the cell.
+        """Parse lines cell by cell into K rows, slowly but with errors that name the cell.
 
-        `before` counts the rows and the lines of the file that come before them.
+        `before` contains the numbers of preceding rows and lines.
         """
         path, names = self.path, self._layout.names
         values: list[list[Any]] = []
         is_plain = all(kind == Cells() for kind in kinds.values())
-        is_plain &= not any("_" in line for line in lines)  # which Python takes in its own numbers
+        is_plain &= not any("_" in line for line in lines)  # `float` accepts 1_000
         try:
             for line, cells in self._layout.cells(lines):
                 row = before[0] + len(values) + 1
@@ -532,16 +532,16 @@ class TextTable(LogTable):
                             advice="Is the recording truncated? Remove or repair that line.",
                         )
                     if is_plain:
-                        with suppress(ValueError):  # of words for nothing, or of what is wrong
+                        with suppress(ValueError):  # missing values or errors
                             values.append([float(cells[k] or "nan") for k, _ in places])
                             continue
-                    found = dict[int, list[Any]]()
+                    parsed = dict[int, list[Any]]()
                     for k, kind in kinds.items():
                         numbers = kind.numbers(cells[k])
                         if numbers is None:
                             raise _refusal(path, row, names[k], cells[k], kind)
-                        found[k] = numbers
-                    values.append([found[cell][item] for cell, item in places])
+                        parsed[k] = numbers
+                    values.append([parsed[cell][item] for cell, item in places])
                 except LogError as error:
                     torn.add(row - 1, error)
                     values.append([np.nan] * len(places))
@@ -553,7 +553,7 @@ class TextTable(LogTable):
         return values
 
     def loaded(self, *, skip: bool = False) -> LogTable:
-        """Return the table with all its columns read, those of words as texts."""
+        """Return the table with all columns read, including texts."""
         texts = self._layout.words
         columns, torn = self.read([name for name in self.names if name not in texts], skip=skip)
         words = self.texts(texts)
@@ -568,7 +568,7 @@ class TextTable(LogTable):
 
 
 def read_text(path: Path, reading: Reading) -> LogTable:
-    """Return the columns of a table of text, which may be packed."""
+    """Read a text table, which may be compressed."""
     with readable(path, f"{path.suffix} file"), open_log(path) as file:
         content = file.read(_HEAD)
         for form, (what, advice) in WORDS["no_tables"].items():
@@ -591,21 +591,21 @@ def read_text(path: Path, reading: Reading) -> LogTable:
 
 
 _CODECS = ("cp1252", "gb18030", "shift_jis", "euc_kr", "big5", "cp1251", "mac_roman")
-"""Encodings that are recognized by words."""
+"""Encodings recognized by known words."""
 
 
-# A letter alone tells nothing, but those of East Asia, which have three bytes, do.
+# A single letter proves nothing, except for East Asian ones, which have three bytes in UTF-8.
 _LETTERS = (word for word in re.findall(r"\w+", str(WORDS)) if not word.isascii())
 _FOREIGN = re.compile(
     "|".join(sorted((w for w in _LETTERS if len(w.encode()) > 2), key=len, reverse=True))
 )
-_BEGINNING = 10_000  # bytes, which have the names of columns
+_BEGINNING = 10_000  # bytes that contain the column names
 
 
 def _encoding(head: bytes) -> str:
-    """Return the encoding of a text by its first bytes; "" for UTF-8.
+    """Return the encoding of a text from its first bytes; "" for UTF-8.
 
-    Of several it is that in which most letters are of words that name columns.
+    Among several candidates, the one with the most letters in known column words wins.
     """
     if head.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) and head[2:]:
         return "UTF-16"
@@ -615,10 +615,10 @@ def _encoding(head: bytes) -> str:
     try:
         head.decode()
     except UnicodeDecodeError as error:
-        text = {each: head[:_BEGINNING].decode(each, "replace") for each in _CODECS}
-        known = {each: sum(map(len, _FOREIGN.findall(text[each]))) for each in _CODECS}
-        best = max(known, key=lambda each: known[each])
-        if known[best] and b"\0" not in head and error.end < len(head):
+        texts = {each: head[:_BEGINNING].decode(each, "replace") for each in _CODECS}
+        scores = {each: sum(map(len, _FOREIGN.findall(texts[each]))) for each in _CODECS}
+        best = max(scores, key=lambda each: scores[each])
+        if scores[best] and b"\0" not in head and error.end < len(head):
             return best
         for codec in ("Windows-1252", "mac_roman") if error.end < len(head) else ():
             letters = "°²³µ·±äöüÄÖÜßéèêàçñ".encode(codec, "ignore")
@@ -628,7 +628,7 @@ def _encoding(head: bytes) -> str:
 
 
 def read_sheet(path: Path, reading: Reading) -> LogTable:
-    """Return the columns of a sheet of Excel, as those of a table of text; see `read_text`."""
+    """Read an Excel sheet like a text table; see `read_text`."""
     pandas = optional_package("pandas", "logs", "sheets of Excel", LogError)
     with readable(path, "sheet of Excel"), open_log(path) as file:
         size = sum(entry.file_size for entry in ZipFile(file).infolist())
@@ -650,11 +650,11 @@ def read_sheet(path: Path, reading: Reading) -> LogTable:
 def _text_table(path: Path, reading: Reading, opened: Opener) -> LogTable:
     texts = (StringIO(block.decode("utf-8-sig"), newline="") for _, block in _blocks(path, opened))
     layout = text_layout(path, chain.from_iterable(texts), reading)
-    dates_in = {name: DATE.fullmatch(cell.strip()) for name, cell in layout.first.items()}
-    strokes = [name for name, date in dates_in.items() if date and date["mark"] in ("/", "-")]
+    first_dates = {name: DATE.fullmatch(cell.strip()) for name, cell in layout.first.items()}
+    ambiguous = [name for name, date in first_dates.items() if date and date["mark"] in ("/", "-")]
     orders = dict[str, tuple[bool, str]]()
-    with suppress(csv.Error):  # which is told when the cells are read
-        dates = TextTable(path, layout, opened).texts(strokes)
+    with suppress(csv.Error):  # reported when the cells are read
+        dates = TextTable(path, layout, opened).texts(ambiguous)
         orders = {name: order_of_days(each) for name, each in dates.items()}
     layout = replace(layout, day_first=frozenset(k for k, (first, _) in orders.items() if first))
     notes = dict.fromkeys(note for note in (layout.note, *(n for _, n in orders.values())) if note)
@@ -668,13 +668,13 @@ def _text_table(path: Path, reading: Reading, opened: Opener) -> LogTable:
 
 
 def _blocks(path: Path, opened: Opener, skip: int = 0) -> Iterator[tuple[int, bytes]]:
-    """Yield blocks of complete lines of a file, but for the first `skip`, and the lines before."""
+    """Yield the number of preceding lines and a block of whole lines, after `skip` lines."""
     rest, count = b"", 0
     packed = readable(path, f"{path.suffix} file") if unpacked(path) != path else nullcontext()
     with packed, opened() as file:
         for data in chain(iter(lambda: file.read(_BLOCK), b""), [b""]):
             block = rest + data
-            # A carriage return at the end may be the first half of a line end.
+            # A final carriage return may be the first half of a line break.
             cut = 1 + max(block.rfind(b"\n"), block.rfind(b"\r", 0, -1)) if data else len(block)
             block, rest = block[:cut], block[cut:]
             if len(rest) > _LONGEST:
@@ -694,13 +694,13 @@ def _lines(block: bytes) -> list[str]:
 
 
 def _by_arrow(block: bytes, layout: TextLayout, columns: Sequence[int]) -> list[Array] | None:
-    """Return columns (K,) of lines with only numbers in these cells, by Arrow; None otherwise."""
+    """Parse some columns (K,) by Arrow; return None if any cell is not a number."""
     if layout.grouped or layout.decimal == layout.separator or find_spec("pyarrow") is None:
         return None
     if not block.isascii():
-        block.decode()  # or it is no text in UTF-8
+        block.decode()  # raises if it is not UTF-8
     pyarrow, arrow = map(import_module, ("pyarrow", "pyarrow.csv"))
-    if layout.separator is None:  # between cells is one blank
+    if layout.separator is None:  # Arrow needs exactly one blank between cells
         block = block.replace(b"\t", b" ")
         while b"  " in block:
             block = block.replace(b"  ", b" ")
@@ -715,7 +715,7 @@ def _by_arrow(block: bytes, layout: TextLayout, columns: Sequence[int]) -> list[
             arrow.ConvertOptions(
                 include_columns=list(dict.fromkeys(used)),
                 column_types=dict.fromkeys(used, pyarrow.float64()),
-                null_values=sorted(NOTHING.difference(_RULES)),  # of rows that are none
+                null_values=sorted(NOTHING.difference(_RULES)),  # rules are not missing values
                 decimal_point=layout.decimal,
             ),
         )
@@ -725,7 +725,7 @@ def _by_arrow(block: bytes, layout: TextLayout, columns: Sequence[int]) -> list[
 
 
 def _refusal(path: Path, row: int, column: str, text: str, kind: Cells) -> LogError:
-    """Return the error for a cell that does not match its column."""
+    """Return the error for a cell that does not match the type of its column."""
     what = "not a number"
     advice = "Leave a cell empty or write nan where nothing was measured."
     if may_be_grouped(text):

@@ -1,4 +1,4 @@
-"""Topics of a recording, and which of them is the log, or which are its parts."""
+"""Choose the topics of a recording that form the log."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from geodrake.logs.time_stamps import time_unit
 
 _MOST_LISTED = 8
 Received = tuple[str, str, Any, int]
-"""Topic and type of a message, itself, and when it was received, ns."""
+"""Topic, type, message, and time of receipt (ns)."""
 
 
 def topics_of(messages: Iterable[Received]) -> list[JointMessages]:
-    """Return topics with what all of their messages say of joints."""
+    """Group messages by topic."""
     topics = dict[str, JointMessages]()
     for name, kind, message, received in messages:
         topics.setdefault(name, JointMessages(name, kind)).add(message, received)
@@ -45,35 +45,35 @@ _TOPIC, _INSIDE = WORDS["topic"].split(), WORDS["inside"].split()
 
 
 def messages_table(path: Path, records: Any, reading: Reading) -> LogTable | None:
-    """Return the columns of records that are messages of several topics or joints; else None."""
+    """Return a table if records are messages of several topics or joints, else None."""
     if not are_records(records):
         return None
-    said = [*map(_topic_and_message, records)]
-    names = (x for _, each in said for n, x in each.items() if names_joints(n))
+    messages = [*map(_topic_and_message, records)]
+    names = (x for _, each in messages for n, x in each.items() if names_joints(n))
     lists = (x for x in names if isinstance(x, list) and all(isinstance(n, str) for n in x))
     named = {tuple(sorted(x)) for x in lists}
-    if len({topic for topic, _ in said}) < 2 and len(named) < 2:
+    if len({topic for topic, _ in messages}) < 2 and len(named) < 2:
         return None
     clock = next((n for n, x in records[0].items() if is_time(n) and not isinstance(x, dict)), "")
     times = np.array([_seconds(each.get(clock)) for each in records])
     unit = time_unit("", times)
     stamps = np.rint(times * 1e9 * (unit[0] if unit else 1.0)).astype(np.int64).tolist()
-    received = stamps if clock else [stamp_of(message) for _, message in said]
-    both = zip(said, received, strict=True)
-    topics = topics_of((name or "records", "messages", x, time) for (name, x), time in both)
+    received = stamps if clock else [stamp_of(message) for _, message in messages]
+    pairs = zip(messages, received, strict=True)
+    topics = topics_of((name or "records", "messages", x, time) for (name, x), time in pairs)
     if not any(topic.quantities for topic in topics):
         return None
     return topics_table(path, chosen_topics(path, topics, reading), topics, reading)
 
 
 def _seconds(value: Any) -> float:
-    """Return a number, or a date in s since 1970; 0 if it is neither."""
+    """Return a number, or a date in s since 1970; 0 for other values."""
     date = date_of(value) if isinstance(value, str) else None
     return (number_in(value) or 0.0) if date is None else 1e-9 * date
 
 
 def _topic_and_message(record: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
-    """Return the topic of a record, or "", and the message in it."""
+    """Split a record into its topic, or "", and the message."""
     topic = next((x for name in _TOPIC if isinstance(x := record.get(name), str)), "")
     inside = next((x for name in _INSIDE if isinstance(x := record.get(name), Mapping)), None)
     return (topic, record) if inside is None or not topic else (topic, inside)
@@ -82,18 +82,19 @@ def _topic_and_message(record: Mapping[str, Any]) -> tuple[str, Mapping[str, Any
 def chosen_topics(
     path: Path, topics: Sequence[JointMessages], reading: Reading
 ) -> tuple[JointMessages, ...]:
-    """Return the topic that is the log, or those that are parts of it."""
+    """Return the topics that form the log."""
     if not topics:
         raise LogError(f"Log {str(path)!r} has no messages.", advice="Check how it was recorded.")
-    known = {topic.topic.strip("/") for topic in topics}
-    called = [plain_words(str(joint)) for topic in topics for joint in topic.joints]
-    asked = [
-        name  # but for words in names of joints, as of one of two robots
+    names = {topic.topic.strip("/") for topic in topics}
+    joint_words = [plain_words(str(joint)) for topic in topics for joint in topic.joints]
+    requested = [
+        name  # without words of joint names, which select one of two robots
         for name in reading.topics
-        if name.strip("/") in known or not any(set() < plain_words(name) <= own for own in called)
+        if name.strip("/") in names
+        or not any(set() < plain_words(name) <= words for words in joint_words)
     ]
-    if asked:
-        return tuple(_named(path, topics, name, alone=len(asked) == 1) for name in asked)
+    if requested:
+        return tuple(_named(path, topics, name, alone=len(requested) == 1) for name in requested)
     best = _best([topic for topic in topics if topic.fits])
     if len(best) == 1:
         return (best[0],)
@@ -107,26 +108,26 @@ def chosen_topics(
 
 
 def _best(topics: Sequence[JointMessages]) -> Sequence[JointMessages]:
-    """Return the topics with efforts, if any, and of these those for joints."""
-    heard = [topic for topic in topics if topic.has_efforts] or topics
-    return [topic for topic in heard if topic.made_for_joints] or heard
+    """Return the topics with efforts, if any, and among them those only for joint states."""
+    driven = [topic for topic in topics if topic.has_efforts] or topics
+    return [topic for topic in driven if topic.made_for_joints] or driven
 
 
 def _parts(path: Path, topics: Sequence[JointMessages]) -> tuple[JointMessages, JointMessages]:
-    """Return the topics of positions and of efforts or commands, where no topic has both."""
+    """Return a topic of positions and one of efforts or commands, if no topic has both."""
     named = [t for t in topics if any(isinstance(joint, str) for joint in t.joints)]
     moved = _best([topic for topic in named or topics if "position" in topic.part])
-    heard = _best([t for t in topics if is_complete(("position", *t.part)) and t not in moved])
-    if len(moved) == len(heard) == 1:
-        return moved[0], heard[0]
+    driven = _best([t for t in topics if is_complete(("position", *t.part)) and t not in moved])
+    if len(moved) == len(driven) == 1:
+        return moved[0], driven[0]
     advice = (
         "Record joint states with efforts, such as sensor_msgs/JointState, a controller state with "
         "positions and commands, or commands in addition to joint states."
     )
-    if moved and heard:
+    if moved and driven:
         advice = (
             "Choose one of positions and one of efforts or commands, to join them by time, as in "
-            f"--topic {moved[0].topic} --topic {heard[0].topic}."
+            f"--topic {moved[0].topic} --topic {driven[0].topic}."
         )
     raise LogError(
         f"Log {str(path)!r} has no topic with both joint positions and efforts; it has "
@@ -136,7 +137,7 @@ def _parts(path: Path, topics: Sequence[JointMessages]) -> tuple[JointMessages, 
 
 
 def _named(path: Path, topics: Sequence[JointMessages], name: str, *, alone: bool) -> JointMessages:
-    """Return a topic by its name; a single one must have all of the log."""
+    """Return a topic by its name; if `alone`, it must have positions and efforts."""
     found = [topic for topic in topics if topic.topic.strip("/") == name.strip("/")]
     if found and (found[0].fits if alone else found[0].part):
         return found[0]
@@ -160,7 +161,7 @@ def _listed(topics: Sequence[JointMessages]) -> str:
     return ", ".join(map(str, ordered[:_MOST_LISTED])) + more
 
 
-_CLOSER = 2.0  # times as close to its joint as to any other a command is that has no name
+_CLOSER = 2.0  # least ratio of distances of an unnamed command to other joints and its own
 
 
 def topics_table(
@@ -170,23 +171,22 @@ def topics_table(
     reading: Reading,
     base: Sequence[BaseMessages] = (),
 ) -> LogTable:
-    """Join topics at the time stamps of the one with the lowest rate.
+    """Join topics at the time stamps of the slowest; the first one of duplicate columns is used.
 
-    Of a column that two have, that of the first is taken. Messages without stamps are put on the
-    clock of those with: on average they take no time from there to the recorder. `base` is what is
-    said of a free base and its feet.
+    Messages without stamps are moved to the clock of those with stamps, assuming no mean delay to
+    the recorder. `base` contains the data of a floating base and its feet.
     """
-    is_alone, read = len(chosen) == 1, ", ".join(f"{t.topic} ({t.kind})" for t in chosen)
-    if is_alone and not chosen[0].fits:  # its first messages have efforts, but none has positions
+    is_alone, sources = len(chosen) == 1, ", ".join(f"{t.topic} ({t.kind})" for t in chosen)
+    if is_alone and not chosen[0].fits:  # possible if only the first messages fit
         raise LogError(f"Topic {chosen[0]} of log {str(path)!r} has no positions with efforts.")
-    also = [
+    alternatives = [
         other.topic
         for other in topics
         if is_alone and other.topic != chosen[0].topic
         if other.fits and other.has_efforts >= chosen[0].has_efforts
     ]
-    more = f"; {', '.join(also)} would also match (--topic)" if also else ""
-    said = [f"read from {read}{more}"]
+    hint = f"; {', '.join(alternatives)} would also match (--topic)" if alternatives else ""
+    said = [f"read from {sources}{hint}"]
     if any(topic.from_controller for topic in chosen):
         said.append("there are no measured efforts: the controller's output is used")
     made: list[tuple[Messages, list[LogTable]]] = [
@@ -195,7 +195,7 @@ def topics_table(
     made += [(each, each.tables()) for each in base]
     clock = next(filter(None, (messages.clock for messages, _ in made)), None)
     names = [{n for t in tables for n in t.columns} - {"time"} for _, tables in made]
-    if len(names) > 1 and names[0] and all(each == names[0] for each in names):  # as of two arms
+    if len(names) > 1 and names[0] and all(each == names[0] for each in names):  # such as two arms
         made = [(messages, [t.under(f"{messages.topic}/") for t in own]) for messages, own in made]
     tables = list[LogTable]()
     for messages, own in made:
@@ -208,11 +208,11 @@ def topics_table(
 
 
 def _part_tables(topic: JointMessages, *, part: bool) -> list[LogTable]:
-    """Return the columns of one topic, which may be a part of a log."""
+    """Return the tables of a topic, with unique names if it is a part of a log."""
     tables = topic.tables(part=part)
     if not part:
         return tables
-    found = []
+    parts = []
     for table in tables:
         columns = table.columns
         if "command" in topic.part and topic.is_wanted:
@@ -221,22 +221,22 @@ def _part_tables(topic: JointMessages, *, part: bool) -> list[LogTable]:
             f"{topic.topic}/{n}" if n.startswith(NUMBERS) else n: c for n, c in columns.items()
         }
         path = Path(topic.topic) if len(tables) == 1 else table.path
-        found.append(replace(table, path=path, columns=named))
-    return found
+        parts.append(replace(table, path=path, columns=named))
+    return parts
 
 
 def _commands(columns: Mapping[str, Array]) -> dict[str, Array]:
-    """Return positions of command messages as commands; all columns if there are none."""
-    found = {}
+    """Rename the positions of command messages to commands; return all columns if none."""
+    commands = {}
     for name, column in columns.items():
         joint, dot, _ = name.rpartition(".position")
         if dot or name.startswith("position["):
-            found[f"{joint}.command" if dot else name.replace("position", "command")] = column
-    return {"time": columns["time"], **found} if found else dict(columns)
+            commands[f"{joint}.command" if dot else name.replace("position", "command")] = column
+    return {"time": columns["time"], **commands} if commands else dict(columns)
 
 
 def _named_by_motion(columns: Mapping[str, Array]) -> tuple[dict[str, Array], list[str]]:
-    """Name commands without names by the joint that follows them, if that is clear."""
+    """Assign unnamed commands to the joints that follow them, if unambiguous."""
     joints = [name.removesuffix(".position") for name in columns if name.endswith(".position")]
     told = {name: meaning_of(name) for name in columns}
     bare = [n for n, m in told.items() if m is not None and m.quantity == "command" and not m.joint]
@@ -247,10 +247,10 @@ def _named_by_motion(columns: Mapping[str, Array]) -> tuple[dict[str, Array], li
         np.stack([columns[n] for n in names]) for names in ([f"{j}.position" for j in joints], bare)
     )
     q, c = (each[:, np.isfinite(q).all(axis=0) & np.isfinite(c).all(axis=0)] for each in (q, c))
-    apart = np.array([np.sum((q - each) ** 2, axis=1) for each in c])
-    nearest, ordered = np.argmin(apart, axis=1), np.sort(apart, axis=1)
-    clear = len(joints) == 1 or bool((ordered[:, 1] > _CLOSER**2 * ordered[:, 0]).all())
-    if len(set(nearest.tolist())) < len(bare) or not clear:
+    squares = np.array([np.sum((q - each) ** 2, axis=1) for each in c])
+    nearest, ordered = np.argmin(squares, axis=1), np.sort(squares, axis=1)
+    is_clear = len(joints) == 1 or bool((ordered[:, 1] > _CLOSER**2 * ordered[:, 0]).all())
+    if len(set(nearest.tolist())) < len(bare) or not is_clear:
         return kept, []
     names = {name: f"{joints[k]}.command" for name, k in zip(bare, nearest.tolist(), strict=True)}
     words = ", ".join(f"{old} of {new.removesuffix('.command')}" for old, new in names.items())
