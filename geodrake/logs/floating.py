@@ -89,7 +89,7 @@ def without_held(
     heads = {every: [h for h in slow if slow[h][0] == every] for every, _ in slow.values()}
     rates = "; ".join(f"{', '.join(own)} every {every} rows" for every, own in heads.items())
     words = f"rows without those of {slowest} are not used" if rows else "interpolated"
-    notes.append(f"new values come more seldom than rows, {rates}: {words}")
+    notes.append(f"new values are less frequent than rows, {rates}: {words}")
     return repaired, rows.get(slowest, np.ones(len(time), bool)), notes
 
 

@@ -36,15 +36,15 @@ def check_commands(log: JointLog) -> None:
             continue
         correlation, scale = _correlation(command, position)
         is_unlike = scale > 0.0 and (correlation < _UNLIKE or not 1.0 / _APART < scale < _APART)
-        words = f"{joint} they correlate by {correlation:.2f} and vary {scale:.3g} times as much"
-        unlike += [words] * is_unlike
+        words = f"those of {joint} vary {scale:.3g} times as much as its positions, and the "
+        unlike += [f"{words}correlation is {correlation:.2f}"] * is_unlike
         moved += scale > 0.0
         if correlation >= _FOLLOWS and any(
             abs(abs(np.log(scale)) - np.log(ratio)) < _LAG for ratio in _RATIOS
         ):
             raise LogError(
-                f"Commands of {joint} in log {log.name!r} move as positions, but {scale:.3g} times "
-                "as far.",
+                f"Commands of {joint} in log {log.name!r} move like its positions, but {scale:.3g} "
+                "times as far.",
                 advice="One of them is in another unit; give that of both, for example --units "
                 "position=rad,command=deg, or ticks@2048.",
             )
@@ -59,9 +59,9 @@ def check_commands(log: JointLog) -> None:
     is_alone = moved == 1 < len(log.joints)  # a heavy joint may sag in spite of its command
     if unlike and len(unlike) == moved and not is_alone:
         raise LogError(
-            f"No joint follows its commands in log {log.name!r}: of {unlike[0]} as positions.",
+            f"No joint follows its commands in log {log.name!r}: {unlike[0]}.",
             advice="Are they increments, normalized, torques, or of an end effector? Log the "
-            "positions that servos are told, or efforts.",
+            "commanded positions of servos, or efforts.",
         )
 
 

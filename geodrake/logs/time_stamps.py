@@ -153,9 +153,7 @@ def going_on(time: Array, *, of_day: bool = False) -> tuple[Array, tuple[str, ..
     row = rows[back[0] + 1] + 1
     if len(ends) == 1 and len(back) <= _EVEN * len(rows):
         added = np.full(len(back), ends[0])
-        words = (
-            f"the counter of time begins anew at {ends[0]:.6g} s, {times}at row {row}: it goes on"
-        )
+        words = f"the time counter restarts after {ends[0]:.6g} s, {times}at row {row}: continued"
     else:
         parts = np.diff(np.concatenate([[0], back + 1, [len(rows)]]))
         are_few = len(back) <= _MOST_SETS and parts.min() >= max(10.0, _EVEN * len(rows))

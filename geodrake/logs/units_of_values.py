@@ -108,7 +108,7 @@ def _take_angles(
         angle, speed, why = "deg", _nearer_speed(moves), beyond
     elif bare.get("velocity") and not ratio:
         data.pop("velocity")
-        columns.leave_out("velocity", "it does not go with positions")
+        columns.leave_out("velocity", "it is unrelated to positions")
     for quantity, name in {"position": angle, "command": angle, "velocity": speed}.items():
         unit = unit_of(name, quantity)
         if unit.factor != 1.0 and bare.get(quantity):

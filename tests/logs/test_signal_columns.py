@@ -309,7 +309,7 @@ def test_velocities_that_are_none_are_left_out(tmp_path):
     columns = frame(q_J=Q, v_J=0.0 * Q, effort_J=S)
     log = read_log(write(tmp_path / "log.csv", columns), joints=JOINTS)
     assert log.velocity is None
-    assert "velocity is not used, as it does not go with positions" in log.notes
+    assert "velocity is not used, as it is unrelated to positions" in log.notes
     noise = np.random.default_rng(5).normal(0.0, 1e-3, Q.shape)
     angle = 8.0 * np.pi * TIME[:, None] + [0.0, 1.0]  # a turn in 25 rows
     columns = frame(q_J=np.sin(angle) + noise, v_J=8.0 * np.pi * np.cos(angle), effort_J=S)

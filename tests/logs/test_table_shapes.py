@@ -821,7 +821,7 @@ def test_a_counter_of_time_that_begins_anew_goes_on(tmp_path, bits, unit, times)
     stamps = np.mod(end - 5000 + np.rint(time / {"ms": 1e-3, "us": 1e-6}[unit]), end)
     log = read_log(csv_at(tmp_path, stamps, np.sin(time), np.cos(time), f"t_{unit}"))
     np.testing.assert_allclose(log.time - log.time[0], time, atol=1e-6)
-    assert any("the counter of time begins anew at" in note for note in log.notes)
+    assert any("the time counter restarts after" in note for note in log.notes)
 
 
 @pytest.mark.parametrize("form", ["%H%M%S.%f", "%H%M%S%f"])
