@@ -121,7 +121,7 @@ def log_of(
     table: LogTable, joints: Sequence[str] | None, reading: Reading, *, partial: bool = False
 ) -> tuple[JointLog, Columns]:
     """Return the log in a table and its columns; see `read_log`."""
-    table, given = regrouped(table, reading), reading
+    table, original = regrouped(table, reading), reading
     _check_silent(table, reading, joints)
     while True:
         columns = columns_of(table, joints, reading, partial=partial)
@@ -130,7 +130,7 @@ def log_of(
             break
         reading = replace(reading, ignored=reading.ignored | useless)
     notes = [*table.notes, *log.notes]
-    if unused := reading.ignored - given.ignored:
+    if unused := reading.ignored - original.ignored:
         notes.append(f"columns {listed(sorted(unused))} do not describe efforts, and are not used")
     return replace(log, notes=tuple(notes), motors=reading.motors_of(log.joints)), columns
 
@@ -204,8 +204,8 @@ def _frame_arrays(frame: Any, title: str) -> dict[str, Any]:
     if hasattr(frame, "collect_schema") and hasattr(frame, "collect"):
         frame = frame.collect()
     kinds = (frame, "column_names"), (frame, "columns"), (getattr(frame, "dtype", None), "names")
-    told = (x for each, name in kinds if (x := getattr(each, name, None)) is not None)
-    names: Any = frame if isinstance(frame, Mapping) else next(told, None)
+    listed_names = (x for each, name in kinds if (x := getattr(each, name, None)) is not None)
+    names: Any = frame if isinstance(frame, Mapping) else next(listed_names, None)
     if names is None or isinstance(frame, str):
         raise ArgumentError(
             f"A frame must have named columns; got {type(frame).__name__}.",

@@ -79,8 +79,8 @@ def read_json(path: Path, reading: Reading) -> LogTable:
             if _NO_RECORDS.match(file.read(_BEGINNING)):
                 raise neither(path, _JSON_ADVICE)
         text = _text_of(path, "JSON").decode("utf-8-sig")
-        values, rest = _json_values(text)
-        if len(values) < 2 and rest:
+        values, remainder = _json_values(text)
+        if len(values) < 2 and remainder:
             json.loads(text)  # raises with the position of the error
         is_single = len(values) == 1 and unpacked(path).suffix.lower() not in _LINES
         content = _frame_rows(path, values[0]) if is_single else values
@@ -88,8 +88,8 @@ def read_json(path: Path, reading: Reading) -> LogTable:
             _check_recognized(path, content, _JSON_ADVICE)
         table = messages_table(path, content, reading)
         table = table or content_table(path, content, reading, _JSON_ADVICE)
-        note = f"the last record is cut off and not used: {rest[:_SHOWN]!r}"
-        return table.noting(*[note] * bool(rest))
+        note = f"the last record is cut off and not used: {remainder[:_SHOWN]!r}"
+        return table.noting(*[note] * bool(remainder))
 
 
 def _json_values(text: str) -> tuple[list[Any], str]:
@@ -327,18 +327,18 @@ def _objects(path: Path, reading: Reading, *, matlab: bool = True) -> dict[str, 
         arrays = {n: v for n, v in datasets.items() if matlab or _may_be_log(n, v.shape)}
         arrays = {n: v for n, v in arrays.items() if v.shape}
         mapped = [each.column for _, each in reading.mapping or ()] or [0]
-        wanted = arrays
+        selected = arrays
         if len(arrays) > MOST_COLUMNS and all(isinstance(each, str) for each in mapped):
             ends = tuple("." + str(each).partition("[")[0] for each in mapped)
             paths = {name: "." + name.replace("/", ".") for name in arrays}
-            wanted = {
+            selected = {
                 n: arrays[n] for n in arrays if is_time(paths[n][1:]) or paths[n].endswith(ends)
             }
-        size = sum(value.size for value in wanted.values())
+        size = sum(value.size for value in selected.values())
         check_room(path, size, f"{size} numbers")
         groups = {n for n in objects if not is_of_episode(n.split("/"), reading)} - datasets.keys()
         for name in [n for n in objects if n in arrays or n in groups]:
-            array = _array(wanted[name], matlab=matlab) if name in wanted else None
+            array = _array(selected[name], matlab=matlab) if name in selected else None
             _put(variables, name, {} if name in groups else array)
     for name, value in attributes:
         text = value.decode(errors="replace") if isinstance(value, bytes) else value
@@ -463,9 +463,9 @@ def read_lerobot(path: Path, reading: Reading) -> LogTable:
         episode = reading.episode
         only = None if episode is None else [("episode_index", "==", episode)]
         files = [*map(str, regular_files(path.glob("data/**/*.parquet"), "log", LogError))]
-        found = parquet.read_table(files, columns=wanted, filters=only)
-        columns = {**arrow_table(path, found).columns}
-    if not len(found):
+        data = parquet.read_table(files, columns=wanted, filters=only)
+        columns = {**arrow_table(path, data).columns}
+    if not len(data):
         of, advice = ("", "") if only is None else (f" of episode {episode}", "Count them from 0.")
         raise LogError(f"LeRobot dataset {str(path)!r} has no samples{of}.", advice=advice)
     named = {name: columns[column] for (_, column), name in meaning.items() if column in columns}
@@ -544,7 +544,7 @@ def read_npz(path: Path, reading: Reading) -> LogTable:
         entries = {e: e.filename.removesuffix(".npy").strip() for e in archive.infolist()}
         check_once(path, [*entries.values()])
         declared = {entry: _header(archive, entry) for entry in entries}
-        wanted = {e: said for e, said in declared.items() if _may_be_log(entries[e], said[0])}
+        wanted = {e: header for e, header in declared.items() if _may_be_log(entries[e], header[0])}
         size = sum(math.prod(shape) for shape, _ in wanted.values())
         check_room(path, size, f"{size} numbers")
         for entry, name in entries.items():

@@ -49,31 +49,31 @@ def floating_meaning(column: str) -> Meaning | None:
 
 def _floating_name(column: str) -> str | None:
     """Return geodrake's own name of a column without a unit; None for other columns."""
-    if (found := _CONTACT.fullmatch(column)) is not None:
-        return f"{found['frame']}{FLAG}"
+    if (match := _CONTACT.fullmatch(column)) is not None:
+        return f"{match['frame']}{FLAG}"
     plain = re.sub(r"(?<=\w)/(?=\w)", ".", column.strip("/"))
-    found, is_of_base = _VECTOR.fullmatch(plain), IS_BASE.search(plain)
-    if found is None and (is_of_base or _IMU.search(plain)):
-        found = _SHORTENED.fullmatch(plain)
-    if found is None:
+    match, is_of_base = _VECTOR.fullmatch(plain), IS_BASE.search(plain)
+    if match is None and (is_of_base or _IMU.search(plain)):
+        match = _SHORTENED.fullmatch(plain)
+    if match is None:
         return None
-    head = re.sub(r"(\.|^)(pose|twist|wrench)$", "", found["head"].strip("."))
-    field, axis = (found["field"] or "").lower(), found["axis"].lower()
+    head = re.sub(r"(\.|^)(pose|twist|wrench)$", "", match["head"].strip("."))
+    field, axis = (match["field"] or "").lower(), match["axis"].lower()
     is_bare = not field and (axis not in ANGLES or _LINKS.search(plain))
     if is_bare or (axis.isdigit() and field in _UNNUMBERED):
         return None
-    what = _FIELDS[_SHORT.get(field, field)] if field else "angles"
-    if what in ("force", "torque"):
-        return f"{head}.{what}.{axis}" if head and axis != "w" else None
-    if what == "angular_velocity":
-        what = f"imu.{what}" if _IMU.search(head) else f"base.{what}"
-    if what == "angles":
-        what, axis = "base.orientation", _ANGLES.get(axis, axis)
-    is_turn = what == "base.orientation"
-    is_matching = _IMU.search(head) if what.startswith("imu.") else is_of_base
+    quantity = _FIELDS[_SHORT.get(field, field)] if field else "angles"
+    if quantity in ("force", "torque"):
+        return f"{head}.{quantity}.{axis}" if head and axis != "w" else None
+    if quantity == "angular_velocity":
+        quantity = f"imu.{quantity}" if _IMU.search(head) else f"base.{quantity}"
+    if quantity == "angles":
+        quantity, axis = "base.orientation", _ANGLES.get(axis, axis)
+    is_turn = quantity == "base.orientation"
+    is_matching = _IMU.search(head) if quantity.startswith("imu.") else is_of_base
     if is_matching is None or (axis == "w") > is_turn or (is_turn and _IMU.search(head)):
         return None
-    return f"{what}.{axis}"
+    return f"{quantity}.{axis}"
 
 
 def numbered_axes(names: Iterable[str]) -> dict[str, str]:
@@ -87,7 +87,7 @@ def numbered_axes(names: Iterable[str]) -> dict[str, str]:
         if axis.isdigit():
             heads.setdefault(head, []).append(axis)
     for head, axes in heads.items():
-        own = ANGLES if head.endswith("orientation") else AXES
-        news = own if len(axes) == len(own) else map(str, range(len(axes)))
+        labels = ANGLES if head.endswith("orientation") else AXES
+        news = labels if len(axes) == len(labels) else map(str, range(len(axes)))
         found |= {f"{head}.{a}": f"{head}.{new}" for a, new in zip(sorted(axes), news, strict=True)}
     return found

@@ -485,13 +485,13 @@ def _by_names(
 ) -> Columns:
     """Assign columns by their names, except `clock`."""
     path, units = table.path, table.units
-    beside = [name for name in table.names if name != clock and floating_meaning(name) is None]
-    parsed, texts = joint_columns(beside, joints or ()), []
+    columns = [name for name in table.names if name != clock and floating_meaning(name) is None]
+    parsed, texts = joint_columns(columns, joints or ()), []
     if joints and not any(m.quantity == "position" and m.role < OTHER for m in parsed):
-        bare = as_positions(beside, joints)
+        bare = as_positions(columns, joints)
         texts = [f"position: {_span(bare)} taken, as they are named like joints"] if bare else []
         parsed += bare
-    states = [*state_columns(table, beside, parsed, reading)] if joints else []
+    states = [*state_columns(table, columns, parsed, reading)] if joints else []
     parsed = [*states, *(m for m in parsed if m.column not in {each.column for each in states})]
     texts += [f"taken as states and inputs, in the model's order: {_span(states)}"] * bool(states)
     terms = [words for words in map(plain_words, reading.topics) if words]
@@ -515,7 +515,7 @@ def _by_names(
     _check_units(table, places)
     if (time := time_source(table, reading)) is not None:
         places = {("", "time"): time, **places}
-    own = frozenset(m.joint for m in of_joints if m.style[0] == "own")
+    native = frozenset(m.joint for m in of_joints if m.style[0] == "own")
     texts, rate = [*texts, *notes, *choice_words(best)], reading.rate
     unknown = {k: s.unit.name for k, s in places.items() if s.unit and np.isnan(s.unit.factor)}
     if unknown:
@@ -525,7 +525,7 @@ def _by_names(
     if rate is None and time is None and (stated := table.rate or _steady_rate(table)):
         rate, name = stated
         texts.append(f"{rate:.6g} Hz, from {name!r} in the file")
-    return Columns(path, reading, places, texts, rate, own, others)
+    return Columns(path, reading, places, texts, rate, native, others)
 
 
 def _check_one_robot(path: Path, best: Best) -> None:
@@ -765,8 +765,8 @@ class Columns:
                 self.notes.append(f"{quantity} is not used: there is none of {listed(missing)}")
         if undriven := [joint for joint in self.passive if joint not in reading.motorless]:
             self.notes.append(f"no motor at {listed(undriven)}: its effort is zero")
-        every, kept = self.places.items(), (*joints, *self.standing)
-        of_joints = {p: source for p, source in every if p[1] == "time" or p[0] in kept}
+        items, kept = self.places.items(), (*joints, *self.standing)
+        of_joints = {p: source for p, source in items if p[1] == "time" or p[0] in kept}
         self.places = {
             (joint, what): source
             for (joint, what), source in of_joints.items()

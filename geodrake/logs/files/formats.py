@@ -125,8 +125,8 @@ def reader_of(path: Path) -> Reader | None:
     if kind in (*TEXT, *_MODELS) or kind not in SUFFIXES:
         with open_regular(path, "log", LogError) as file:
             first = file.read(max(map(len, BEGINNINGS)))
-        found = (reader for begin, reader in BEGINNINGS.items() if first.startswith(begin))
-        if (special := next(found, None)) is not None:
+        readers = (reader for begin, reader in BEGINNINGS.items() if first.startswith(begin))
+        if (special := next(readers, None)) is not None:
             return special
     return SUFFIXES.get(kind)
 
@@ -169,19 +169,19 @@ def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
 
     A file name may contain the quantity (`efforts.csv`), the arm (`left.csv`) or the joint.
     """
-    named = [replace(_named_table(path, reading), path=Path(path.name)) for path in paths]
+    tables = [replace(_named_table(path, reading), path=Path(path.name)) for path in paths]
     arms = {frozenset(PAIRS & plain_words(unpacked(path).stem)) for path in paths}
     if len(arms) == len(paths) and all(arms) and reading.mapping is None:
-        named = [table.under(f"{unpacked(table.path).stem}/") for table in named]
-    bare = [
-        {m.column: f"{unpacked(path).stem}.{m.quantity}" for m in told if m.is_bare}
-        for path, told in zip(paths, [meanings_of(each.columns) for each in named], strict=True)
+        tables = [table.under(f"{unpacked(table.path).stem}/") for table in tables]
+    renames = [
+        {m.column: f"{unpacked(path).stem}.{m.quantity}" for m in parsed if m.is_bare}
+        for path, parsed in zip(paths, [meanings_of(each.columns) for each in tables], strict=True)
     ]
-    new_names = {name for names in bare for name in names.values()}
-    told = {str(mapped.column) for _, mapped in reading.mapping or ()} or new_names
-    if sum(map(bool, bare)) > 1 and new_names & told:
-        named = [table.renamed(names) for table, names in zip(named, bare, strict=True)]
-    return joined_tables(Path("+".join(path.name for path in paths)), named, reading)
+    new_names = {name for names in renames for name in names.values()}
+    parsed = {str(mapped.column) for _, mapped in reading.mapping or ()} or new_names
+    if sum(map(bool, renames)) > 1 and new_names & parsed:
+        tables = [table.renamed(names) for table, names in zip(tables, renames, strict=True)]
+    return joined_tables(Path("+".join(path.name for path in paths)), tables, reading)
 
 
 def _named_table(path: Path, reading: Reading) -> LogTable:
@@ -193,9 +193,9 @@ def _named_table(path: Path, reading: Reading) -> LogTable:
         return table
     if quantity == "command" and joint_columns(table.columns):
         positions = (m.column for m in meanings if m.quantity == "position")
-        own = {column: column.removesuffix(".position") for column in positions}
+        joint_of = {column: column.removesuffix(".position") for column in positions}
         return table.renamed(
-            {c: f"{j}.command" if j != c else f"command_{c}" for c, j in own.items()}
+            {c: f"{j}.command" if j != c else f"command_{c}" for c, j in joint_of.items()}
         )
     bare = [column for column in table.columns if not table.is_time(column)]
     return table.renamed(

@@ -195,8 +195,8 @@ def _meaning(column: str, reading: Reading) -> tuple[str, str]:
         if mapped.column == column:
             joint, _, quantity = name.rpartition(".")
             return joint, "effort" if quantity in EFFORT_KINDS else quantity
-    if (known := floating_meaning(column)) is not None:
-        name = known.quantity
+    if (floating := floating_meaning(column)) is not None:
+        name = floating.quantity
         return "", FLAG if name.endswith(FLAG) else name.rpartition(".")[0]
     meaning = meaning_of(column)
     return ("", "") if meaning is None else (meaning.joint, meaning.log_quantity)
@@ -250,8 +250,8 @@ def _slow_parts(
 def _turns_slowly(columns: Mapping[str, Array]) -> bool:
     """Return whether the orientations of a base are close to interpolated neighbours."""
     meanings = {floating_meaning(column): values for column, values in columns.items()}
-    named = {meaning.quantity: values for meaning, values in meanings.items() if meaning}
-    q = vectors(named, "base.orientation")
+    components = {meaning.quantity: values for meaning, values in meanings.items() if meaning}
+    q = vectors(components, "base.orientation")
     q = np.zeros((0, 4)) if q is None else q[np.isfinite(q).all(axis=1)]
     if len(q) < _FEWEST_TURNS:
         return False
@@ -346,8 +346,8 @@ def at_instants(instants: Array, time: Array, values: Array, *, holds: bool = Fa
     steps, elapsed, remaining = np.diff(time), instants - time[after - 1], time[after] - instants
     gap = steps[after - 1] > longest_step(float(np.median(steps)))
     gap &= (elapsed > _ROUNDING) & (remaining > _ROUNDING)
-    found = np.interp(instants, time, values, left=np.nan, right=np.nan)
-    return np.where(gap, values[after - 1] if holds else np.nan, found)
+    result = np.interp(instants, time, values, left=np.nan, right=np.nan)
+    return np.where(gap, values[after - 1] if holds else np.nan, result)
 
 
 def by_clocks(table: LogTable, reading: Reading) -> LogTable:

@@ -65,8 +65,8 @@ def read_bag(path: Path, reading: Reading) -> LogTable:
         base, notes, of_base = _base(reader, connections, method, reading)
         requested = [name for name in reading.topics if name.strip("/") not in of_base]
         chosen = chosen_topics(path, topics, replace(reading, topic=requested or None))
-        whole = [each.read() for each in chosen if each.read is not None]
-    return topics_table(path, whole, topics, reading, base).noting(*notes)
+        messages = [each.read() for each in chosen if each.read is not None]
+    return topics_table(path, messages, topics, reading, base).noting(*notes)
 
 
 _MCAP = re.compile(rb"\x89MCAP0\r\n\x01.{8}(.)\0\0\0", re.DOTALL)
@@ -155,8 +155,8 @@ def _probed(reader: Any, connections: Sequence[Any], method: str) -> JointMessag
         try:
             decode = getattr(_store(kind, text, definition.format.name), method)
             read = partial(_messages, reader, connections, decode)
-            whole = partial(read, JointMessages(name, kind))
-            return read(JointMessages(name, kind, whole), _FIRST)
+            read_all = partial(read, JointMessages(name, kind))
+            return read(JointMessages(name, kind, read_all), _FIRST)
         except _decoding_errors():
             if kind == JOINT_STATE:  # other types may be unknown
                 raise

@@ -177,32 +177,32 @@ class JointMessages(Messages):
 
     def said(self, message: Any) -> Iterator[Said]:
         """Yield the data of joints in a message; unnamed joints are numbered from 0."""
-        fields, found = dict(fields_of(_plain(message))), dict[str, Array]()
+        fields, numbers = dict(fields_of(_plain(message))), dict[str, Array]()
         joints: Owners = ()
         for quantity, paths in _fields_of_quantities(tuple(fields)).items():
             for path in paths:
                 values = _joint_values(fields[path], quantity)
                 if len(values) and not (isnan(values[0]) and np.isnan(values).all()):
-                    found[quantity] = values
+                    numbers[quantity] = values
                     self.from_controller |= path == _OUTPUT
                     break
-        if not is_complete(found) and (own := _numbers_of_joints(fields)):
-            joints, found = own
-        if "effort" in found:
-            found.pop("command", None)
-        if not found:
+        if not is_complete(numbers) and (parts := _numbers_of_joints(fields)):
+            joints, numbers = parts
+        if "effort" in numbers:
+            numbers.pop("command", None)
+        if not numbers:
             return
         named = (x for n, x in fields.items() if n.rpartition(".")[2] in _NAMES)
         names = next((x for x in named if isinstance(x, list | tuple)), ())
-        joints = joints or tuple(names) or tuple(range(len(next(iter(found.values())))))
-        for quantity, values in found.items():
+        joints = joints or tuple(names) or tuple(range(len(next(iter(numbers.values())))))
+        for quantity, values in numbers.items():
             if len(values) != len(joints):
                 raise LogError(
                     f"Message {self.count} of {self.topic} has {len(joints)} joints, but "
                     f"{len(values)} values of {quantity}.",
                     advice="Was another message type recorded under that name?",
                 )
-        yield joints, found, message
+        yield joints, numbers, message
 
     def column(self, owner: Hashable, name: str) -> str:
         """Return `<joint>.<quantity>`, or `<quantity>[<number>]` of an unnamed joint."""
@@ -266,16 +266,16 @@ class JointMessages(Messages):
         for key in groups:
             steps = np.diff(self.rows(key)[self.when])
             if np.any(steps < 0):
-                at = int(np.argmax(steps < 0))
+                index = int(np.argmax(steps < 0))
                 raise LogError(
-                    f"Time runs backwards in {self.topic}: message {at + 2} is "
-                    f"{-steps[at] / 1e9:.3g} s before message {at + 1} of "
+                    f"Time runs backwards in {self.topic}: message {index + 2} is "
+                    f"{-steps[index] / 1e9:.3g} s before message {index + 1} of "
                     f"{', '.join(map(str, key[0][:3]))}, ….",
                     advice="Was a clock set, a simulation restarted, or are there two "
                     "publishers? Cut the recording there.",
                 )
-            if again := np.count_nonzero(steps == 0):
-                notes.append(f"{again} messages with a repeated stamp are skipped")
+            if repeated := np.count_nonzero(steps == 0):
+                notes.append(f"{repeated} messages with a repeated stamp are skipped")
         first, *others = self.tables_of(groups)
         return [first.noting(*notes), *others]
 

@@ -199,7 +199,7 @@ def joint_columns(names: Iterable[str], joints: Sequence[str] = ()) -> list[Mean
 def as_positions(names: Iterable[str], joints: Sequence[str]) -> list[Meaning]:
     """Interpret columns named only like joints, or `joint` with a number, as positions."""
     joint_of = {words_of(joint): joint for joint in joints if _has_name(joint)}
-    found = []
+    meanings = []
     for name in names:
         words, joint = _split(name), joint_of.get(words_of(name), "")
         context = {w for w in words[:-1] if w not in ROLE_WORDS and w not in _STATES}
@@ -207,10 +207,10 @@ def as_positions(names: Iterable[str], joints: Sequence[str]) -> list[Meaning]:
         if (joint or is_counted) and meaning_of(name) is None:
             role = max((ROLE_WORDS[w] for w in words if w in ROLE_WORDS), default=PLAIN)  # type: ignore[index]
             style = ("position", str(role))
-            found.append(
+            meanings.append(
                 Meaning(name, "position", joint, words_of(joint) or words[-1:], role, style=style)
             )
-    return found
+    return meanings
 
 
 def _roman_numbers(names: Sequence[str]) -> dict[str, tuple[str, int]]:
@@ -241,7 +241,7 @@ def _units_of_family(names: Sequence[str]) -> Mapping[str, str]:
 
 def _of_joint(name: str, joints: Mapping[Words, str]) -> Meaning | None:
     """Return the meaning of a column whose name contains the full name of a joint."""
-    spans = [found.span() for found in _WORD.finditer(name)] if joints else []
+    spans = [match.span() for match in _WORD.finditer(name)] if joints else []
     words = _split(name)
     for joint_words, joint in joints.items():
         places = [k for k in range(len(words)) if words[k : k + len(joint_words)] == joint_words]
@@ -374,9 +374,9 @@ def _time(name: str) -> Meaning | None:
     is_part = unit is not None and unit.factor < 1.0 and not _TIMES.intersection(words)
     if not (words or is_part) or not (_BESIDE_TIME | ROLE_WORDS.keys()).issuperset(words):
         group, *inside = _GROUP.split(name, maxsplit=1)  # a group of any name
-        if not inside or (found := _time(inside[0])) is None:
+        if not inside or (inner := _time(inside[0])) is None:
             return None
-        return replace(found, column=name, role=found.role + 1, style=(group, *found.style))
+        return replace(inner, column=name, role=inner.role + 1, style=(group, *inner.style))
     is_planned = DESIRED in (ROLE_WORDS.get(str(w)) for w in words)  # the clock of a plan
     context = tuple(map(str, words if suffix else words[:-1]))
     if is_part or words[-1] in _NANOSECONDS:  # fractions of seconds
@@ -394,8 +394,8 @@ def _time(name: str) -> Meaning | None:
 def _joint(column: str) -> Meaning | None:
     """Parse a name of a joint's quantity with words in any order."""
     name = column
-    for form, meant in _REWRITTEN:
-        name = form.sub(meant, name)
+    for form, replacement in _REWRITTEN:
+        name = form.sub(replacement, name)
     brackets = _BRACKETS.search(name)
     cut = brackets.start() if brackets else len(name)
     parts = [part for part in name[:cut].split("/") if part] or [name]
@@ -430,9 +430,9 @@ def _joint(column: str) -> Meaning | None:
         place = next(naming_parts, place - 1) if is_last else len(parts) - 1
         joint = parts[place]
         numbers = [w for w in _split(joint) if isinstance(w, int)]
-    named = _has_name(joint)
-    words = words_of(joint) if named else ()
-    if not named or (is_counted and parts[-1].isdecimal()):  # as in run1_q/0
+    is_named = _has_name(joint)
+    words = words_of(joint) if is_named else ()
+    if not is_named or (is_counted and parts[-1].isdecimal()):  # as in run1_q/0
         words += tuple(numbers[-1:])
     role_words = plain_words(_BRACKETS.sub("", name) if has_unit else name)  # `min` may be a unit
     roles = [ROLE_WORDS[word] for word in role_words & ROLE_WORDS.keys()]
@@ -444,8 +444,8 @@ def _joint(column: str) -> Meaning | None:
     if is_late or _FURTHER_SENSOR.search(column) or is_flag:
         role = OTHER
     group = tuple(word for part in parts[:place] for word in _telling(_split(part)))
-    called, style = joint if named else "", (quantity, *sorted(consumed))
-    return Meaning(column, quantity, called, words, role, unit, style, group, DESIRED in roles)
+    joint_name, style = joint if is_named else "", (quantity, *sorted(consumed))
+    return Meaning(column, quantity, joint_name, words, role, unit, style, group, DESIRED in roles)
 
 
 def _take_unit(parts: list[str], place: int, quantity: str) -> Unit | None:

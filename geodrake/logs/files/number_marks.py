@@ -43,9 +43,9 @@ def number_marks(path: Path, rows: Sequence[Sequence[str]]) -> tuple[str, dict[i
         if is_clear and mark not in marks_of[DECIMAL]:
             grouped[k] = mark
         elif is_clear or (other in marks_of[MAYBE] and other not in marks_of[GROUPS]):
-            known = (c for _, each, own, c in marks if each == other or own == DECIMAL)
+            examples = (c for _, each, own, c in marks if each == other or own == DECIMAL)
             raise LogError(
-                f"Log {str(path)!r} has numbers such as {cell!r} and {next(known)!r}, whose "
+                f"Log {str(path)!r} has numbers such as {cell!r} and {next(examples)!r}, whose "
                 "decimal and thousands separators are ambiguous.",
                 advice=ADVICE,
             )

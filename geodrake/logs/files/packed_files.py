@@ -48,9 +48,9 @@ def _log_in(archive: ZipFile, called: str) -> str:
     logs = [n for n in visible if n.suffix.lower() in PACKABLE and n.stem.lower() != "readme"]
     if len(logs) == 1:
         return str(logs[0])
-    found = ", ".join(map(str, (logs or visible)[:8])) or "nothing"
+    listing = ", ".join(map(str, (logs or visible)[:8])) or "nothing"
     raise LogError(
-        f"Log {called!r} is an archive of {len(logs)} logs of text, JSON or NPZ; it has {found}.",
+        f"Log {called!r} is an archive of {len(logs)} logs of text, JSON or NPZ; it has {listing}.",
         advice="Unpack it, and give one of its files, or several that belong together as "
         "q.csv+efforts.csv.",
     )

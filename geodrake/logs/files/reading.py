@@ -54,8 +54,8 @@ class MappedColumn:
         A list of one number may be named like its item.
         """
         name, number = str(self.column), self.column if isinstance(self.column, int) else 0
-        if name not in names and (whole := name.removesuffix("[0]")) in names:
-            return whole
+        if name not in names and (list_name := name.removesuffix("[0]")) in names:
+            return list_name
         return names[number - 1] if 0 < number <= len(names) and name not in names else name
 
 
@@ -297,11 +297,11 @@ def mapping_of(path: Path, content: object) -> ColumnMapping:
     return replace(mapping, source=f"mapping {path}")
 
 
-def _column(said: str | int | _ColumnSchema, quantity: str, what: str) -> MappedColumn:
-    said = said if isinstance(said, _ColumnSchema) else _ColumnSchema(said)
-    if said.unit is not None:
-        unit_of(said.unit, quantity)
-    gain, deviation = said.gain, None
+def _column(entry: str | int | _ColumnSchema, quantity: str, what: str) -> MappedColumn:
+    entry = entry if isinstance(entry, _ColumnSchema) else _ColumnSchema(entry)
+    if entry.unit is not None:
+        unit_of(entry.unit, quantity)
+    gain, deviation = entry.gain, None
     if isinstance(gain, str):
         gain, deviation = parsed_gain(gain, f"the gain of {what!r}")
     check_gain(gain, f"the gain of {what!r}", deviation)
@@ -310,7 +310,7 @@ def _column(said: str | int | _ColumnSchema, quantity: str, what: str) -> Mapped
             f"the gain of {what!r} has a deviation, which only gains of efforts may have.",
             advice="Write it under `effort:`.",
         )
-    return MappedColumn(said.column, said.unit, float(gain), deviation)
+    return MappedColumn(entry.column, entry.unit, float(gain), deviation)
 
 
 def propose(
@@ -339,15 +339,15 @@ def propose(
     model = dict(zip(logged, own, strict=False)) if is_by_order else {}
     known = {(model.get(joint, joint), m.quantity): m for (joint, _), m in places.items()}
     units = {place: m.unit.name if m.unit else None for place, m in known.items()}
-    found = {place: MappedColumn(m.column, units[place]) for place, m in known.items()}
+    columns_at = {place: MappedColumn(m.column, units[place]) for place, m in known.items()}
     guessed = {} if logged else _guess(names, own, headed=headed)
-    if any(guessed.get(place) != column for place, column in found.items()):
+    if any(guessed.get(place) != column for place, column in columns_at.items()):
         guessed = {}
-    found |= guessed
+    columns_at |= guessed
     columns = dict[str, dict[str, MappedColumn | None]]()
     for joint in own:
-        kind = next((k for k in (*EFFORT_KINDS, "command") if (joint, k) in found), "effort")
-        columns[joint] = {q: found.get((joint, q)) for q in ("position", "velocity", kind)}
+        kind = next((k for k in (*EFFORT_KINDS, "command") if (joint, k) in columns_at), "effort")
+        columns[joint] = {q: columns_at.get((joint, q)) for q in ("position", "velocity", kind)}
         if joint in reading.motorless and (kind == "effort" or known[joint, kind].role >= DESIRED):
             columns[joint] |= {kind: MappedColumn(PASSIVE)}
     scalars = (yaml.safe_dump([name], allow_unicode=True, width=math.inf) for name in names)
@@ -358,7 +358,7 @@ def propose(
         text += f"# Guessed from the order of the joints, please check: {pairs}.\n"
     if guessed:
         text += "# Guessed from the number of columns, please check:\n"
-    text += mapping_yaml(columns, found.get(("", "time")), reading.rate)
+    text += mapping_yaml(columns, columns_at.get(("", "time")), reading.rate)
     error.evidence |= {"path": path, "proposal": text}
     return error
 
@@ -381,7 +381,7 @@ def mapping_yaml(
 ) -> str:
     """Return a mapping as the text of a file; the user fills in columns that are None."""
     clock = {"time": _entry(time)} if rate is None else {"rate": rate}
-    content = {j: {q: _entry(column) for q, column in own.items()} for j, own in joints.items()}
+    content = {j: {q: _entry(column) for q, column in row.items()} for j, row in joints.items()}
     text = yaml.safe_dump(
         {**clock, "joints": content}, sort_keys=False, allow_unicode=True, width=math.inf
     )

@@ -49,16 +49,16 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
     joints, notes = columns.joints, tuple[str, ...]()
     stamps = columns.places.get(("", "time"))
     stamps = None if stamps is None or columns.rate is not None else with_own_parts(stamps, numbers)
-    given = None if stamps is None else read_column(stamps, numbers)
+    raw_time = None if stamps is None else read_column(stamps, numbers)
     undriven = {joint: column(joint, "position") for joint in columns.standing}
     data = {name: read_column(source, numbers) for name, source in columns.floating.items()}
     data |= {f"{joint}.position": place for joint, place in undriven.items()}
     for quantity in columns.quantities:
         data[quantity] = _as_matrix([column(joint, quantity) for joint in joints])
-    if stamps is None or given is None:
+    if stamps is None or raw_time is None:
         time = np.arange(rows) / (columns.rate or 1.0)
     else:
-        time, notes = in_seconds(stamps, given, (data["position"], data.get("velocity")))
+        time, notes = in_seconds(stamps, raw_time, (data["position"], data.get("velocity")))
 
     time, time_notes = going_on(time, of_day=columns.origin is not None and columns.origin < _DAY)
     order = None if torn.rows else order_of_time(time, data["position"])
@@ -241,7 +241,7 @@ def _rarest_rows(time: Array, values: Mapping[str, Array]) -> NDArray[np.bool_] 
     if all(np.isfinite(numbers).all() for numbers in quantities):
         return None
     present = [np.isfinite(column) for numbers in quantities for column in numbers.T]
-    present = [each for each in present if each.any()]
+    present = [mask for mask in present if mask.any()]
     rarest = min(present, key=np.count_nonzero, default=np.zeros(0, bool))
     if np.count_nonzero(rarest) < _ENOUGH_ROWS:
         return None

@@ -69,8 +69,8 @@ def _states(table: LogTable, names: Sequence[str], joints: Sequence[str]) -> Ite
     for place, rate in (count.reshape(2, -1), count.reshape(-1, 2).T):
         if all(_has_rate(x[i], x[k]) for i, k in zip(place, rate, strict=True)):
             for what, order in (("position", place), ("velocity", rate)):
-                both = zip(order, joints, strict=True)
-                yield from (_meaning(states[k], what, joint) for k, joint in both)
+                pairs = zip(order, joints, strict=True)
+                yield from (_meaning(states[k], what, joint) for k, joint in pairs)
             return
 
 

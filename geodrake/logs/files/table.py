@@ -87,40 +87,40 @@ def date_of(text: str, *, day_first: bool = False) -> int | None:
     (`day_first`: day/month/year). Dates without a time zone are in UTC. A time of day, days with
     a time, and seconds with their unit count from 1970.
     """
-    if (found := _SECONDS.fullmatch(text.strip())) is not None:
-        return int(found[1]) * _SECOND + int((found[2] or "").ljust(9, "0"))
-    if (found := _MINUTES.fullmatch(text.strip())) is not None:
-        return (60 * int(found[1]) + int(found[2])) * _SECOND + int(found[3].ljust(9, "0"))
+    if (match := _SECONDS.fullmatch(text.strip())) is not None:
+        return int(match[1]) * _SECOND + int((match[2] or "").ljust(9, "0"))
+    if (match := _MINUTES.fullmatch(text.strip())) is not None:
+        return (60 * int(match[1]) + int(match[2])) * _SECOND + int(match[3].ljust(9, "0"))
     text = text.strip()
     if "年" in text:
         text = re.sub("[年月]", "-", text).replace("日", "")
     if not text[:1].isdecimal() and (parts := _NAMED_FIRST.fullmatch(text)):
         text = f"{parts[2]} {parts[1]} {parts[3] or parts[6]} {parts[4] or parts[5]}"
-    if (found := DATE.fullmatch(text)) is None:
+    if (match := DATE.fullmatch(text)) is None:
         return None
-    date = found.group("year", "month", "day")
-    if found["named"]:
-        named = found["named"].lower()
-        date = found["in"], 1 + _MONTHS.index(named) if named in _MONTHS else 0, found["on"]
-    if found["last"]:
-        in_order = found["mark"] != "." and not day_first
-        date = found.group("last", *(("first", "second") if in_order else ("second", "first")))
-    hour, minute, second = map(int, [*re.findall(r"\d\d?", found["time"]), 0][:3])
-    if found["half"]:
+    date = match.group("year", "month", "day")
+    if match["named"]:
+        named = match["named"].lower()
+        date = match["in"], 1 + _MONTHS.index(named) if named in _MONTHS else 0, match["on"]
+    if match["last"]:
+        in_order = match["mark"] != "." and not day_first
+        date = match.group("last", *(("first", "second") if in_order else ("second", "first")))
+    hour, minute, second = map(int, [*re.findall(r"\d\d?", match["time"]), 0][:3])
+    if match["half"]:
         if not 0 < hour <= _NOON:
             return None
-        hour = hour % _NOON + _NOON * (found["half"].upper() == "PM")
+        hour = hour % _NOON + _NOON * (match["half"].upper() == "PM")
     try:
-        since = timedelta(int(found["days"] or 0), second, minutes=minute, hours=hour)
+        since = timedelta(int(match["days"] or 0), second, minutes=minute, hours=hour)
         if date[0]:
             year, month, day = map(int, date)
             year += 2000 * (len(date[0]) == 2)
             since = datetime(year, month, day, hour, minute, second, tzinfo=UTC) - _EPOCH
     except ValueError:  # the 30th of February
         return None
-    offset = timedelta(hours=int(found["hours"] or 0), minutes=int(found["minutes"] or 0))
-    since -= -offset if found["sign"] == "-" else offset
-    return (since.days * _DAY + since.seconds) * _SECOND + int((found["part"] or "").ljust(9, "0"))
+    offset = timedelta(hours=int(match["hours"] or 0), minutes=int(match["minutes"] or 0))
+    since -= -offset if match["sign"] == "-" else offset
+    return (since.days * _DAY + since.seconds) * _SECOND + int((match["part"] or "").ljust(9, "0"))
 
 
 def is_date(text: str) -> bool:
@@ -451,10 +451,10 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
     origins, silent, words = {}, {}, dict[str, Texts]()
     rates = {name: rate for name, x in arrays.items() if (rate := rate_in(name, x)) is not None}
     headers = {len(names): names for x in arrays.values() if (names := _columns_in(x))}
-    for name, given in arrays.items():
+    for name, array in arrays.items():
         if name in rates:
             continue
-        values = array_of(given) if isinstance(given, list) else given
+        values = array_of(array) if isinstance(array, list) else array
         matrix, origin, note = numbers(values)
         if matrix is not None and matrix.ndim == 2 and matrix.shape[0] != rows == matrix.shape[1]:
             matrix = matrix.T
@@ -614,5 +614,5 @@ def _of_objects(array: NDArray[Any]) -> tuple[Array | None, int | None, str]:
     rows = [None if kind is None else kind.numbers(value) for value in array.flat]
     if kind is None or None in rows or not rows:
         return None, None, ""
-    found = np.array(rows).reshape(*array.shape, -1)
-    return found if kind.count else found[..., 0], kind.origin, note
+    matrix = np.array(rows).reshape(*array.shape, -1)
+    return matrix if kind.count else matrix[..., 0], kind.origin, note

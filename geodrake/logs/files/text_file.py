@@ -669,15 +669,15 @@ def _text_table(path: Path, reading: Reading, opened: Opener) -> LogTable:
 
 def _blocks(path: Path, opened: Opener, skip: int = 0) -> Iterator[tuple[int, bytes]]:
     """Yield the number of preceding lines and a block of whole lines, after `skip` lines."""
-    rest, count = b"", 0
+    remainder, count = b"", 0
     packed = readable(path, f"{path.suffix} file") if unpacked(path) != path else nullcontext()
     with packed, opened() as file:
         for data in chain(iter(lambda: file.read(_BLOCK), b""), [b""]):
-            block = rest + data
+            block = remainder + data
             # A final carriage return may be the first half of a line break.
             cut = 1 + max(block.rfind(b"\n"), block.rfind(b"\r", 0, -1)) if data else len(block)
-            block, rest = block[:cut], block[cut:]
-            if len(rest) > _LONGEST:
+            block, remainder = block[:cut], block[cut:]
+            if len(remainder) > _LONGEST:
                 raise LogError(
                     f"Log {str(path)!r} has a line of more than {_LONGEST // 10**6} MB.",
                     advice=f"Is it a text table with a row in each line? {HEADER_ADVICE}",

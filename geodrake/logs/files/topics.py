@@ -51,8 +51,8 @@ def messages_table(path: Path, records: Any, reading: Reading) -> LogTable | Non
     messages = [*map(_topic_and_message, records)]
     names = (x for _, each in messages for n, x in each.items() if names_joints(n))
     lists = (x for x in names if isinstance(x, list) and all(isinstance(n, str) for n in x))
-    named = {tuple(sorted(x)) for x in lists}
-    if len({topic for topic, _ in messages}) < 2 and len(named) < 2:
+    name_lists = {tuple(sorted(x)) for x in lists}
+    if len({topic for topic, _ in messages}) < 2 and len(name_lists) < 2:
         return None
     clock = next((n for n, x in records[0].items() if is_time(n) and not isinstance(x, dict)), "")
     times = np.array([_seconds(each.get(clock)) for each in records])
@@ -138,14 +138,14 @@ def _parts(path: Path, topics: Sequence[JointMessages]) -> tuple[JointMessages, 
 
 def _named(path: Path, topics: Sequence[JointMessages], name: str, *, alone: bool) -> JointMessages:
     """Return a topic by its name; if `alone`, it must have positions and efforts."""
-    found = [topic for topic in topics if topic.topic.strip("/") == name.strip("/")]
-    if found and (found[0].fits if alone else found[0].part):
-        return found[0]
-    if found:
+    matching = [topic for topic in topics if topic.topic.strip("/") == name.strip("/")]
+    if matching and (matching[0].fits if alone else matching[0].part):
+        return matching[0]
+    if matching:
         lacks = "lacks positions or efforts of" if alone else "has no"
         fitting = [topic for topic in topics if (topic.fits if alone else topic.part)]
         raise LogError(
-            f"Topic {found[0]} of log {str(path)!r} {lacks} joints.",
+            f"Topic {matching[0]} of log {str(path)!r} {lacks} joints.",
             advice=f"Topics with them: {_listed(fitting)}." if fitting else "No topic has them.",
         )
     raise LogError(
@@ -186,9 +186,9 @@ def topics_table(
         if other.fits and other.has_efforts >= chosen[0].has_efforts
     ]
     hint = f"; {', '.join(alternatives)} would also match (--topic)" if alternatives else ""
-    said = [f"read from {sources}{hint}"]
+    remarks = [f"read from {sources}{hint}"]
     if any(topic.from_controller for topic in chosen):
-        said.append("there are no measured efforts: the controller's output is used")
+        remarks.append("there are no measured efforts: the controller's output is used")
     made: list[tuple[Messages, list[LogTable]]] = [
         (topic, _part_tables(topic, part=not is_alone)) for topic in chosen
     ]
@@ -199,12 +199,12 @@ def topics_table(
         made = [(messages, [t.under(f"{messages.topic}/") for t in own]) for messages, own in made]
     tables = list[LogTable]()
     for messages, own in made:
-        said += messages.clock_notes
+        remarks += messages.clock_notes
         is_bare = len(made) > 1 and not messages.clock
         tables += [on_clock(table, clock) for table in own] if is_bare else own
     table = joined_tables(path, tables, reading)
     columns, notes = _named_by_motion(table.columns) if not is_alone else (table.columns, [])
-    return replace(table, columns=columns, notes=(*said, *table.notes, *notes))
+    return replace(table, columns=columns, notes=(*remarks, *table.notes, *notes))
 
 
 def _part_tables(topic: JointMessages, *, part: bool) -> list[LogTable]:
@@ -254,5 +254,5 @@ def _named_by_motion(columns: Mapping[str, Array]) -> tuple[dict[str, Array], li
         return kept, []
     names = {name: f"{joints[k]}.command" for name, k in zip(bare, nearest.tolist(), strict=True)}
     words = ", ".join(f"{old} of {new.removesuffix('.command')}" for old, new in names.items())
-    found = {names.get(name, name): column for name, column in columns.items()}
-    return found, [f"unnamed commands are assigned to the joints that follow them: {words}"]
+    renamed = {names.get(name, name): column for name, column in columns.items()}
+    return renamed, [f"unnamed commands are assigned to the joints that follow them: {words}"]
