@@ -178,8 +178,8 @@ def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
         for path, parsed in zip(paths, [meanings_of(each.columns) for each in tables], strict=True)
     ]
     new_names = {name for names in renames for name in names.values()}
-    parsed = {str(mapped.column) for _, mapped in reading.mapping or ()} or new_names
-    if sum(map(bool, renames)) > 1 and new_names & parsed:
+    used = {str(mapped.column) for _, mapped in reading.mapping or ()} or new_names
+    if sum(map(bool, renames)) > 1 and new_names & used:
         tables = [table.renamed(names) for table, names in zip(tables, renames, strict=True)]
     return joined_tables(Path("+".join(path.name for path in paths)), tables, reading)
 
