@@ -1,7 +1,7 @@
 """Motions that distinguish two effects when existing logs cannot.
 
     limits = motion_limits(model, bounded=True)
-    rivals = [make_rival(name, model, limits) for name in ("coulomb_friction", "viscous_friction")]
+    rivals = [make_rival(name, model, limits) for name in names_of_two_effects]
     separation = make_separation(model, *rivals, noise=0.1)
     result = design_excitation(separation, limits, trajectory=FourierMotion(10.0, 5))
 

@@ -8,6 +8,7 @@ import pytest
 from adaptive_loops import (
     CONTROL,
     START,
+    closed_loop,
     computed,
     fixed,
     natural,
@@ -21,7 +22,8 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
-from two_masses import FRICTION, ROTOR, having
+from scipy.integrate import solve_ivp
+from two_masses import FRICTION, INERTIA, ROTOR, WEIGHT, having
 
 from geodrake import effects
 from geodrake.control import (
@@ -111,6 +113,41 @@ def test_mujoco_s_position_actuators(values, kp, kv, limit):
     context = fixed(servo, commanded_position=[c], estimated_state=[q, v])
     found = servo.get_output_port().Eval(context)
     np.testing.assert_allclose(found, data.actuator_force, rtol=1e-12, atol=1e-12)
+
+
+def test_a_servo_moves_a_plant_as_the_differential_equation_says(arm):
+    """Command along a ramp, servo with an integral; friction and rotor in the model, by SciPy."""
+    kp, kd, ki = 60.0, 4.0, 30.0
+    builder = DiagramBuilder()
+    robot = arm.add_to_builder(builder)
+    servo = builder.AddSystem(PositionServo([kp], kd=kd, ki=ki))
+    ramp = PiecewisePolynomial.FirstOrderHold([0.0, 0.1, 1.0], [[0.1, 0.8, 0.8]])
+    for name, trajectory in (
+        ("commanded_position", ramp),
+        ("commanded_velocity", ramp.derivative()),
+    ):
+        source = builder.AddSystem(TrajectorySource(trajectory))
+        builder.Connect(source.get_output_port(), servo.GetInputPort(name))
+    builder.Connect(robot.state, servo.GetInputPort("estimated_state"))
+    builder.Connect(servo.get_output_port(), robot.effort)
+    simulator = Simulator(builder.Build())
+    robot.set_state(simulator.get_mutable_context(), [0.1])
+    simulator.get_mutable_integrator().set_target_accuracy(1e-6)
+    simulator.AdvanceTo(0.1)
+    simulator.AdvanceTo(0.2)
+
+    def rates(t, x):
+        q, v, z = x
+        e, rate = ramp.value(t).item() - q, (7.0 if t < 0.1 else 0.0) - v
+        effort = kp * e + kd * rate + ki * z
+        return [v, (effort - FRICTION * v - WEIGHT * np.sin(q)) / (INERTIA + ROTOR), e]
+
+    found = [0.1, 0.0, 0.0]
+    for start, end in ((0.0, 0.1), (0.1, 0.2)):
+        found = solve_ivp(rates, (start, end), found, rtol=1e-11, atol=1e-12).y[:, -1]
+    context = simulator.get_context()
+    state = robot.state.Eval(robot.plant.GetMyContextFromRoot(context))
+    np.testing.assert_allclose(state, found[:2], atol=1e-5)
 
 
 @pytest.fixture
@@ -215,6 +252,28 @@ def test_clones_and_slopes(name):
     assert largest > 0.1
     with pytest.raises(RuntimeError, match="does not support scalar conversion"):
         system.ToSymbolic()
+
+
+@pytest.mark.parametrize("make", [passive, computed])
+@pytest.mark.parametrize("time_step", [0.0, 2e-3])
+def test_a_loop_goes_on_alike_in_a_clone_and_in_a_copy_of_its_context(make, time_step):
+    builder, loop = closed_loop(make(time_step=time_step))
+    diagram = builder.Build()
+    clone, first = diagram.Clone(), loop.context(diagram)
+    Simulator(diagram, first).AdvanceTo(0.01)
+    there = clone.CreateDefaultContext()
+    there.SetTimeStateAndParametersFrom(first)
+    ends = []
+    for each, context in ((diagram, first.Clone()), (clone, there), (diagram, first)):
+        Simulator(each, context).AdvanceTo(0.02)
+        rates = each.EvalTimeDerivatives(context).CopyToVector()
+        states = context.get_discrete_state(0).value() if time_step else rates
+        ends.append((rates, states))
+    for end in ends[1:]:
+        np.testing.assert_equal(end, ends[0])
+    controller = loop.controller
+    fresh = controller.GetMyContextFromRoot(diagram.CreateDefaultContext())
+    np.testing.assert_array_equal(controller.parameters(fresh), START)
 
 
 def with_gains(gains, gamma=1.0):

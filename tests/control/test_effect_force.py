@@ -5,10 +5,12 @@ import pytest
 from adaptive_loops import fixed
 from link_chains import LINK, arm
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
+from pydrake.math import RollPitchYaw
 from pydrake.multibody.tree import SpatialInertia, UnitInertia, default_model_instance
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import Sine
+from pydrake.systems.primitives import FirstOrderTaylorApproximation, LogVectorOutput, Sine
+from scipy.integrate import solve_ivp
 
 from geodrake import effects
 from geodrake.control import DelayedEffort, EffectForce
@@ -46,6 +48,18 @@ STATES = [np.random.default_rng(seed).normal(size=(3, 3)) for seed in range(2)]
 
 
 class TestExactDynamics:
+    def test_payload_on_a_welded_tool(self):
+        loaded, payload = arm(weld_tool=True), effects.Payload("tool")
+        for q, v, u in STATES:
+            terms = [(payload, from_spatial_inertia(TOOL))]
+            with_effect = acceleration(arm(weld_tool=True), q, v, u, terms)
+            context = loaded.CreateDefaultContext()
+            loaded.SetPositionsAndVelocities(context, np.concatenate([q, v]))
+            loaded.GetBodyByName("tool").SetSpatialInertiaInBodyFrame(context, TOOL)
+            loaded.get_actuation_input_port().FixValue(context, u)
+            expected = loaded.get_generalized_acceleration_output_port(default_model_instance())
+            np.testing.assert_allclose(with_effect, expected.Eval(context), rtol=1e-9)
+
     def test_effort_of_all_effects_is_what_their_regressors_say(self):
         terms = [
             (effects.ViscousFriction("joint1"), [0.5]),
@@ -83,7 +97,70 @@ class TestExactDynamics:
             np.testing.assert_allclose(load + 0.3 * v + effort, u, rtol=1e-7, atol=1e-7)
 
 
+class TestSimulation:
+    @pytest.mark.parametrize(("time_step", "tolerance"), [(0.0, 1e-4), (1e-3, 2e-2)])
+    def test_pendulum_swings_down_as_scipy_says(self, time_step, tolerance):
+        c, F, width = 0.05, 0.3, 1e-2
+        plant = arm(dofs=1, time_step=time_step)
+        builder = DiagramBuilder()
+        builder.AddSystem(plant)
+        wet, dry = effects.ViscousFriction("joint1"), effects.CoulombFriction("joint1")
+        terms = [(wet, [c]), (dry, [F])]
+        EffectForce.AddToBuilder(builder, plant, terms, sign_width=width)
+        logger = LogVectorOutput(plant.get_state_output_port(), builder, 0.02)
+        simulator = Simulator(builder.Build())
+        context = simulator.get_mutable_context()
+        plant.SetPositions(plant.GetMyContextFromRoot(context), [2.0])
+        simulator.get_mutable_integrator().set_target_accuracy(1e-7)
+        simulator.AdvanceTo(4.0)
+        log = logger.FindLog(context)
+
+        phi = from_spatial_inertia(LINK)
+        g = plant.gravity_field().gravity_vector()[2]
+        tilt = RollPitchYaw(0.0, 0.2, 0.0).ToRotationMatrix().matrix()
+
+        def derivative(_, x):
+            c_q, s_q = np.cos(x[0]), np.sin(x[0])
+            turn = tilt @ np.array([[c_q, 0, s_q], [0, 1, 0], [-s_q, 0, c_q]])
+            gravity = np.cross(turn @ phi[1:4], [0, 0, g]) @ tilt[:, 1]
+            friction = c * x[1] + F * np.tanh(x[1] / width)
+            return [x[1], (gravity - friction) / phi[5]]
+
+        expected = solve_ivp(
+            derivative, (0, 4), [2.0, 0.0], "LSODA", log.sample_times(), rtol=1e-9, atol=1e-9
+        )
+        np.testing.assert_allclose(log.data(), expected.y, atol=tolerance)
+        assert np.abs(np.diff(log.data()[0])).sum() > 2.0
+
+
 class TestSystem:
+    def test_users_effect_that_says_nothing_of_time(self):
+        """It is given the time as the catalogue's effects are that declare it."""
+
+        class Fading(effects.JointEffect):
+            name = "fading"
+            parameters = (effects.Parameter("size", "N·m"),)
+
+            def columns(self, joint):
+                raise NotImplementedError
+
+            def rows(self, motion):
+                joint = motion.joint("joint2")
+                left = 0.0 if motion.time is None else np.exp(-motion.time / 2.0)
+                column = left * joint.v + 1e-12 * (joint.vd + joint.load)
+                return {"joint2": column[:, None]}
+
+        system = EffectForce(arm(), [(Fading("joint2"), [0.5])])
+        state = [0.1, 0.2, 0.3, 0.4, -0.5, 0.6]
+        context = fixed(system, state=state, applied_effort=np.zeros(3))
+        for time in (0.0, 1.0, 7.0):
+            context.SetTime(time)
+            np.testing.assert_allclose(
+                system.get_output_port().Eval(context),
+                [0.0, 0.25 * np.exp(-time / 2.0), 0.0],
+                atol=1e-9,
+            )
+
     @pytest.mark.parametrize(
         ("effect", "mu", "message"),
         [
@@ -145,6 +222,11 @@ def context_at(diagram, effort=EFFORT):
     return context
 
 
+def rates(diagram, context, state):
+    context.SetContinuousState(state)
+    return diagram.EvalTimeDerivatives(context).CopyToVector()
+
+
 def slopes(function, x, h=1e-6):
     return np.stack([(function(x + e) - function(x - e)) / (2 * h) for e in h * np.eye(len(x))], 1)
 
@@ -176,6 +258,23 @@ MANY = [
     (effects.EffortScale("joint3"), [0.2]),
     (effects.Payload("link2"), from_spatial_inertia(LINK)),
 ]
+PLAY = [(effects.Backlash("joint1", 0.1), [0.5]), (effects.RotorInertia("joint1"), [0.2])]
+
+
+@pytest.mark.parametrize("terms", [MANY, SPRING, PLAY], ids=["many", "spring", "play"])
+def test_linear_dynamics_are_those_of_differences(terms):
+    diagram, _ = diagram_with(terms)
+    context = context_at(diagram)
+    start = context.get_continuous_state_vector().CopyToVector()
+    linear = FirstOrderTaylorApproximation(diagram, context)
+    expected = slopes(lambda x: rates(diagram, context, x), start)
+    scale = np.abs(expected).max()
+    np.testing.assert_allclose(linear.A(), expected, atol=1e-7 * scale, rtol=1e-6)
+
+    def of_effort(u):
+        return rates(diagram, context_at(diagram, u), start)
+
+    np.testing.assert_allclose(linear.B(), slopes(of_effort, EFFORT), atol=1e-6 * scale)
 
 
 @pytest.mark.parametrize("terms", [MANY, SPRING], ids=["many", "spring"])

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+import pinocchio
 import pytest
 import yaml
 from chain_logs import inverse_dynamics
@@ -368,6 +369,22 @@ def test_several_files_become_one(tmp_path):
     back = np.argsort(order)
     other = Motion(moved.q[:, back], moved.v[:, back], moved.vd[:, back])
     np.testing.assert_allclose(again.effort(other)[:, order], model.effort(moved), atol=1e-9)
+
+
+def test_pinocchio_reads_the_inertias_damping_and_friction(tmp_path):
+    model = fitted(loaded(tmp_path, "urdf"), springs=False)
+    path, *_ = exported(model, "urdf", tmp_path / "out")
+    read = pinocchio.buildModelFromUrdf(str(path))
+    assert read.damping == pytest.approx([0.7, 1.1])
+    for name in ("damping", "friction", "lowerDryFrictionLimit", "upperDryFrictionLimit"):
+        if hasattr(read, name):
+            getattr(read, name)[:] = 0.0
+    data, moved = read.createData(), motion(model)
+    found = [
+        pinocchio.rnea(read, data, *each) for each in zip(moved.q, moved.v, moved.vd, strict=True)
+    ]
+    bodies = replace(model, effects=tuple(f for f in model.effects if f.effect.name == "payload"))
+    np.testing.assert_allclose(found, bodies.effort(moved), atol=1e-10)
 
 
 @pytest.mark.parametrize("kind", FILES)

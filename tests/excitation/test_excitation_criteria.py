@@ -8,7 +8,7 @@ from excitation_robots import MODELS, arm, assert_gradient, motion_of, random_po
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.math import RigidTransform, RollPitchYaw
-from random_plants import JOINTS, random_motion, random_plant
+from random_plants import JOINTS, random_motion, random_plant, random_tree
 from scipy.linalg import block_diag, eigh, sqrtm
 from scipy.optimize import lsq_linear
 
@@ -74,6 +74,23 @@ class TestValues:
         }
         value = Criterion(name).value(np.linalg.eigvalsh(M))
         assert value == pytest.approx(expected[name], rel=1e-12)
+
+    @pytest.mark.parametrize("name", CRITERIA)
+    @pytest.mark.parametrize("kept", [None, 3])
+    def test_objective_and_its_gradient(self, name, kept):
+        logs = np.random.default_rng(1).normal(size=6)
+        criterion = Criterion(name, kept=kept)
+        value, gradient = criterion.objective(logs)
+        for i in range(6):
+            step = 1e-6 * np.eye(6)[i]
+            slope = (
+                criterion.objective(logs + step)[0] - criterion.objective(logs - step)[0]
+            ) / 2e-6
+            assert gradient[i] == pytest.approx(slope, abs=1e-8)
+        exact = criterion.value(np.exp(logs))
+        exact = exact / (kept or 6) if name == "d_optimality" else np.log(exact)
+        above = 0.0 if name in ("a_optimality", "d_optimality") else np.log(kept or 6) / 16.0
+        assert exact - 1e-12 <= value <= exact + above + 1e-12
 
     def test_kept(self):
         eigenvalues = np.array([1e-9, 2.0, 8.0])
@@ -235,6 +252,13 @@ def test_a_chain_of_every_joint_type():
     rng = np.random.default_rng(0)
     kinds = ("revolute", *sorted(set(JOINTS) - {"none"}), "revolute")
     assert_equals_differences(random_plant(rng, kinds, chain=True), rng)
+
+
+@settings(max_examples=12)
+@given(st.lists(st.sampled_from(sorted(JOINTS)), min_size=1, max_size=5), st.integers(0, 2**32 - 1))
+def test_random_trees(kinds, seed):
+    rng = np.random.default_rng(seed)
+    assert_equals_differences(random_tree(rng, kinds), rng)
 
 
 @pytest.mark.parametrize("base", ["revolute", "quaternion floating"])

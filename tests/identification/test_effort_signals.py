@@ -17,12 +17,14 @@ from geodrake.effects.of_files import SquaredLoadFriction
 from geodrake.errors import LogError
 from geodrake.identification.logs import signal_calibration
 from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.effort_gains import ALIKE, _GeodesicBodies
 from geodrake.identification.logs.joint_motions import JointMotions, motions_of
 from geodrake.identification.logs.servo_fit import fit_servo
 from geodrake.identification.logs.servo_motion import calc_command_before
 from geodrake.identification.logs.signal_calibration import (
     calibrate_efforts,
     calibrated,
+    expected_servo,
     gain_words,
     signals_as_efforts,
 )
@@ -89,6 +91,21 @@ def test_intervals_of_slow_logs_hold_friction_and_rotors():
     assert [value["what"] for value in values].count("rotor_inertia") == 2
     assert sum(value["inside"] for value in values) >= len(values) - 1
     assert max(value["deviation"] / value["truth"] for value in values) < 1.0
+
+
+def test_what_varies_with_the_motion_is_worth_few_samples(model, log):
+    motions = alone(model, log)
+    white = 1e-4 * np.random.default_rng(0).normal(size=len(motions.measured))
+    q = np.concatenate(motions.rows)[:, 4]
+    assert motions.noise(white) < 5.0 * np.mean(white**2)
+    repeats = 1e-4 * (q - q.mean()) / q.std()
+    assert motions.noise(repeats) > 0.2 * len(q) / 4.0 * np.mean(repeats**2)
+
+
+def test_a_stiffness_may_be_far_from_those_of_other_joints():
+    value, spread = expected_servo([], "wrist", 100.0, 0.2)["stiffness"]
+    assert value * np.exp(-3.0 * spread) < 0.2 / 20.0
+    assert expected_servo([], "wrist", 100.0, 50.0)["stiffness"][1] == ALIKE
 
 
 def test_it_finds_friction_by_the_square_of_the_load(model, log):
@@ -174,6 +191,21 @@ def test_efforts_of_a_servo_are_its_equation(log):
     np.testing.assert_allclose(effort[inner], np.clip(exact, -5.0, 5.0)[inner], atol=0.02)
     same = in_efforts(log, [signal])
     np.testing.assert_array_equal(same.effort[:, 0], effort)
+
+
+def test_where_a_joint_stands_says_nothing_of_a_servo():
+    """Offsets of stretches, as of heavier bodies, made a tenth of the error no gain at all."""
+    rng = np.random.default_rng(0)
+    stretches = tuple(np.zeros((n, 8)) for n in (400, 300))
+    motions = JointMotions(stretches, tuple(rows[:, 0] for rows in stretches), (0.004, 0.004))
+    before, after = 1e-3 * rng.normal(size=700), 1e-4 * rng.normal(size=700)
+    gain = motions.gain_of(before, after)
+    assert gain > 700.0
+    offset = np.repeat([2e-3, -5e-3], [400, 300])
+    assert motions.gain_of(before + offset, after + offset) == pytest.approx(gain)
+    assert motions.gain_of(before, after + offset, motions.tested) == pytest.approx(
+        motions.gain_of(before, after, motions.tested)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -292,6 +324,40 @@ def gains(kp, kd, ki, limit, band=0.0):
     return ServoGains(*(np.array([each]) for each in (kp, kd, ki, limit, band, 1.0)))
 
 
+@pytest.mark.parametrize("band", [0.0, 0.03])
+def test_simulation_is_that_of_position_servo(band):
+    """Its law in SciPy's integration, with bodies' b, M, D and K, part of the time at the limit."""
+    period, count = 0.002, 2500
+    time = period * np.arange(count)
+    b, M, K, D, d, armature, late = 0.7, 0.4, 3.0, 0.2, 3.0, 0.1, 0.007
+    kp, kr, ki, limit = 40.0, 2.0, 30.0, 9.0
+    servo = gains(kp, kr, ki, limit, band)
+
+    def error(t, state):
+        x, v, z = state
+        parts = (np.sin(3.0 * (t - late)) - x, 3.0 * np.cos(3.0 * (t - late)) - v, z, 0.0)
+        return ServoError(*(np.array([each]) for each in parts))
+
+    def rates(t, state):
+        told, (x, v, _) = error(t, state), state
+        force = servo.effort(told)[0] - d * v - b - K * x - D * v
+        return [v, force / (M + armature), servo.integral_rate(told)[0]]
+
+    exact = solve_ivp(rates, (0.0, time[-1]), np.zeros(3), t_eval=time, max_step=4e-3, rtol=1e-6)
+    efforts = [servo.effort(error(*each))[0] for each in zip(time, exact.y.T, strict=True)]
+    assert 0.1 < np.mean(np.abs(efforts) >= limit) < 0.6
+    rows = np.zeros((count, 8))
+    rows[:, :4], rows[:, 7] = (b, M, K, D), np.sin(3.0 * time)
+    motions = JointMotions((rows,), (exact.y[0],), (period,))
+    parameters = [kp, kr, d, 0.0, armature, late, 0.0, 0.0, ki, band]
+    after, size = time > 2.0, np.abs(exact.y[0]).max()  # before the log there was no command
+    off = motions.residual(motions.servo(parameters, limit=limit))[after]
+    assert np.abs(off).max() < 5e-3 * size
+    assert np.abs(motions.residual(motions.servo(parameters))).max() > 0.05 * size
+    without = motions.residual(motions.servo(parameters[:9], limit=limit))[after]
+    assert not band or np.abs(without).max() > 0.01 * size
+
+
 def test_it_finds_a_dead_band(model, log, tmp_path):
     """Beside dry friction, which it is not where weight pulls; and what has it moves like that."""
     motions = alone(model, log)
@@ -315,6 +381,43 @@ def test_it_finds_a_dead_band(model, log, tmp_path):
     np.testing.assert_allclose(effort, expected, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("limit", "own", "band"),
+    [(np.inf, 0.0, 0.0), (7.0, 0.2, 0.0), (7.0, 0.9, 0.0), (np.inf, 0.0, 0.01)],
+)
+def test_slopes_are_finite_differences(limit, own, band, tmp_path):
+    """Of two stretches, each with an effort of its own that the integral begins with."""
+    log = servo_log(integral=60.0, limit=limit, seconds=7.0)
+    whole = alone(pendulum(tmp_path, 100 if np.isinf(limit) else limit), log)
+    motions = JointMotions(
+        (whole.rows[0][:600], whole.rows[0][900:1400]),
+        (whole.positions[0][:600], whole.positions[0][900:1400]),
+        whole.periods * 2,
+    )
+    at = motions.servo([55.0, 1.0, 3.0, 0.8, 0.1, 0.0123, 0.3, 0.02, 50.0, band], limit=limit)
+    at[11:] = own, 1.5, -0.7
+    free = np.array(
+        [*range(9), 12, 13, *np.flatnonzero([*[False] * 9, band, limit < 9, limit < 9])]
+    )
+    every = motions.with_slopes(at, np.ones(len(at), bool))[1]
+    slopes = every[:, free]
+    expected = np.empty_like(slopes)
+    for k, number in enumerate(free):
+        step = 1e-6 * np.abs(at[number]) * np.eye(len(at))[number]
+        both = motions.simulated(at + step) - motions.simulated(at - step)
+        expected[:, k] = both / (2.0 * step[number])
+    assert not slopes[600:, 9].any() and not slopes[:600, 10].any()
+    error, most = np.abs(slopes - expected), np.abs(slopes).max(0)
+    if np.isinf(limit) and not band:
+        assert (error <= 2e-5 * most).all()
+    else:  # where it begins to act within a step, there is no slope: few rows
+        plain = at.copy()
+        plain[9:11] = 0.0, np.inf
+        assert np.abs(motions.simulated(at) - motions.simulated(plain)).max() > 0.009
+        assert (np.median(error, axis=0) < 1e-3 * most).all()
+        assert (error.max(0) < 0.05 * most).all()
+
+
 @pytest.mark.parametrize("feedback", [False, True])
 def test_an_integral_is_found_beside_a_limit_that_hides_it(feedback, tmp_path):
     """A linear fit of what a servo is behind says nothing of one that is at its limit."""
@@ -326,6 +429,20 @@ def test_an_integral_is_found_beside_a_limit_that_hides_it(feedback, tmp_path):
     assert signal.gain == pytest.approx(TRUTH[0], rel=0.05)
     assert signal.integral == pytest.approx(INTEGRAL, rel=0.1)
     assert signal.limit == limit
+
+
+def test_velocity_feedback_is_within_the_limit(tmp_path):
+    """As in MuJoCo's position actuators."""
+    motions = alone(pendulum(tmp_path, 5.0), servo_log(limit=5.0, seconds=20.0, feedback=True))
+    fit = fit_servo(motions, EffortSignal("hinge", "command", 50.0), 5.0)
+    assert fit.limit == 5.0
+    assert fit.parameters[0] == pytest.approx(TRUTH[0], rel=0.02)
+    feedback, damping = fit.parameters[1:3]
+    assert feedback == pytest.approx(TRUTH[2] - 1.0, rel=0.1)
+    assert damping == pytest.approx(1.0, abs=0.3)
+    assert fit.rate_share < 0.1
+    found = fit_servo(motions, EffortSignal("hinge", "command", 50.0))
+    assert found.limit == pytest.approx(5.0, rel=0.02) and found.error < 1.1 * fit.error
 
 
 def test_a_joint_that_stands_exactly_still_has_no_servo():
@@ -457,6 +574,19 @@ def test_measured_efforts_tell_the_scale_of_the_others(torques, found):
     assert known[log.joints[2]] < alone[log.joints[2]]
 
 
+def test_known_gains_are_taken_as_they_are(torques):
+    signals = tuple(
+        EffortSignal(joint, "current", gain, 0.02 * abs(gain))
+        for joint, gain in zip(torques.joints, GAINS.tolist(), strict=True)
+    )
+    model, logs, notes = calibrate_efforts(
+        replace(ARM, effort_signals=signals), [currents(torques, GAINS)]
+    )
+    np.testing.assert_allclose(logs[0].effort, torques.effort)
+    np.testing.assert_allclose(logs[0].gain_deviations, 0.02)
+    assert model.effort_signals == signals and not notes
+
+
 def test_logs_of_two_kinds_are_refused_together(torques):
     with pytest.raises(LogError, match=r"current in .* and effort in"):
         calibrate_efforts(ARM, [currents(torques, GAINS), replace(torques, name="other")])
@@ -483,3 +613,16 @@ def test_rows_beyond_the_limit_of_a_motor_are_noted(torques):
     )
     assert note in open_case(able, [torques], candidates=False).notes
     assert calibrate_efforts(able, [given])[2] == []
+
+
+def test_slopes_of_geodesic_bodies_are_those_of_differences():
+    bodies = _GeodesicBodies.of(ARM)
+    x = 0.3 * np.random.default_rng(0).normal(size=ARM.phi.size)
+    x[:10] = 0.0  # where eigenvalues meet
+    slope = bodies.at(x)[1]
+    step = 1e-6
+    columns = [
+        (bodies.at(x + step * e)[0] - bodies.at(x - step * e)[0]) / (2.0 * step)
+        for e in np.eye(len(x))
+    ]
+    np.testing.assert_allclose(slope, np.stack(columns, 1), atol=1e-6 * np.abs(slope).max())

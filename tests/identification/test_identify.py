@@ -16,6 +16,7 @@ from geodrake.identification import (
     BodyConstraints,
     FitProblem,
     PointMasses,
+    PointMassEuclidean,
     PointMassKL,
     Riemannian,
     compare_regularizers,
@@ -271,6 +272,26 @@ def test_a_regularizer_has_its_own_prior_of_scalars():
         compare_regularizers(A, b, TWO, extra_priors={"pulback": [3.0]}, **kinds)
 
 
+@pytest.mark.parametrize(("reference", "gamma"), [("euclidean", 2000.0), ("riemannian", 20.0)])
+def test_all_residuals_are_equal(reference, gamma):
+    A, b = data_of_two(0, rows=40, extra=1, noise=0.1)
+    points = PointMasses.of_bodies(TWO, 30)
+    kinds = ["euclidean", "pullback", "entropic", "riemannian"]
+    regularizers = [*kinds, PointMassEuclidean(points), PointMassKL(points)]
+    options = {"gamma": gamma, "sigma": 0.3, "extra_bounds": [[0.0, np.inf]], "certify": False}
+    found = compare_regularizers(
+        A, b, TWO, reference=reference, regularizers=regularizers, **options
+    )
+    assert list(found.results) == [*kinds, "point_mass_euclidean", "point_mass_kl"]
+    alone = identify(A, b, TWO, regularizer=reference, **options)
+    assert found.residual == pytest.approx(alone.residual, rel=1e-9)
+    for name, result in found.results.items():
+        x = np.append(result.phi.ravel(), result.extra)
+        assert np.sum(((A @ x - b) / 0.3) ** 2) == pytest.approx(found.residual, rel=1e-5), name
+        assert is_physical(result.phi).all() and result.regularizer == name
+    assert (found.reference, found.gamma) == (reference, gamma)
+
+
 def test_open_directions_are_named():
     A, b = data_of_two(4, rows=60)
     A[:, 4] = 0.0  # Ixx of body 0
@@ -423,6 +444,40 @@ def entropic(problem, gamma):
     return replace(
         problem, entropic=priors, prior_information=np.zeros_like(problem.prior_information)
     )
+
+
+def in_deviations(result, other):
+    return np.abs(result.x - other.x).max(initial=0.0) / result.standard_deviations().min()
+
+
+WELL_INSIDE = {"gamma": 2000.0, "noise": 5.0}
+
+
+@pytest.mark.parametrize("friction", [20.0, -1.0])
+def test_shortcuts_agree_with_the_conic_program(friction):
+    problem = example(2, friction=friction, **WELL_INSIDE)
+    quick, conic = solve_fit(problem), solve_fit(problem, shortcuts=False)
+    name = "closed form" if friction > 0 else "bounded least squares"
+    assert (quick.solver, conic.solver) == (name, "clarabel")
+    assert in_deviations(quick, conic) < 1e-6
+    assert quick.active_bounds == conic.active_bounds
+    assert (len(quick.active_bounds) > 0) == (friction < 0)
+    assert quick.residual == pytest.approx(conic.residual, rel=1e-8)
+    if not quick.active_bounds:
+        R = problem.factor[:, :-1]
+        normal = R.T @ R + problem.prior_information
+        np.testing.assert_allclose(quick.information, normal, rtol=1e-10, atol=1e-8)
+        deviations = np.sqrt(np.diag(np.linalg.inv(normal)))
+        np.testing.assert_allclose(quick.standard_deviations(), deviations, rtol=1e-6)
+
+
+def test_no_data_gives_the_prior_back():
+    problem = example(5)
+    empty = replace(problem, factor=np.zeros((1, problem.size + 1)))
+    for problem in (empty, entropic(empty, 1.0)):
+        result = solve_fit(problem)
+        np.testing.assert_allclose(result.x[:20], problem.prior_mean[:20], rtol=1e-4, atol=1e-5)
+        assert np.isinf(result.standard_deviations()[20:]).all()
 
 
 def test_reference_stands_in_for_a_prior_without_mass():

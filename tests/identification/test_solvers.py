@@ -10,7 +10,9 @@ import pytest
 from hypothesis import example as with_example
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from identified_bodies import BODIES, THREE, constrained, cost, entropic_fit, random_data
+from identified_bodies import BODIES, THREE, TWO, constrained, cost, entropic_fit, random_data
+from scipy.linalg import block_diag, expm
+from scipy.optimize import minimize
 
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification import (
@@ -19,11 +21,41 @@ from geodrake.identification import (
     Riemannian,
     conic_fit,
     identify,
+    solve_fit,
 )
-from geodrake.identification.conic_fit import certified
+from geodrake.identification.conic_fit import build_fit, certified
+from geodrake.identification.coordinates import SYMMETRIC_BASIS
 from geodrake.identification.newton import solve_newton
+from geodrake.identification.riemannian import half_squared_logs, log_derivatives
 from geodrake.identification.solvers import LostProcessError, in_subprocess, solve_in_subprocess
-from geodrake.inertia import from_mass_com_inertia, is_physical
+from geodrake.inertia import from_mass_com_inertia, is_physical, pseudo_inertia, pullback_metric
+
+
+def information_difference(result, other):
+    """Largest difference of an entry, relative to its row's and column's diagonal entries."""
+    size = np.sqrt(np.diagonal(other.information))
+    return np.abs((result.information - other.information) / np.outer(size, size)).max()
+
+
+@pytest.mark.parametrize(
+    ("seed", "kind"),
+    [(0, "constrained"), (1, "plain"), (2, "with prior information"), (3, "constrained")],
+)
+def test_clarabel_and_scs_find_the_same(seed, kind):
+    problem = entropic_fit(seed, gamma=0.05 * 10.0**seed, rows=40)
+    if kind == "constrained":
+        problem = constrained(problem)
+    if kind == "with prior information":
+        root = np.random.default_rng(seed).normal(size=(5, problem.size))
+        problem = replace(problem, prior_information=root.T @ root)
+    newton, conic = solve_newton(problem), solve_fit(problem)
+    assert (newton.solver, conic.solver) == ("newton", "clarabel")
+    assert cost(problem, newton.x) == pytest.approx(cost(problem, conic.x), rel=1e-8)
+    assert newton.active_bounds == conic.active_bounds
+    assert newton.active_blocks == conic.active_blocks == ()
+    assert information_difference(newton, conic) < 1e-3
+    scs = solve_fit(problem, solver="scs")
+    assert cost(problem, newton.x) == pytest.approx(cost(problem, scs.x), rel=1e-5)
 
 
 @given(
@@ -52,11 +84,81 @@ def test_bodies_are_physical_at_every_extreme(seed, gamma, scale, rows, pull):
             assert cost(problem, other) >= least - left
 
 
+def test_rank_deficient_scalars_stay_where_they_do_nothing():
+    problem = entropic_fit(3, rows=60)
+    factor = problem.factor.copy()
+    factor[:, 31] = factor[:, 30]
+    twins = replace(problem, factor=factor, lower=np.array(-np.inf), upper=np.array(np.inf))
+    x = solve_newton(twins).x
+    assert x[30] == pytest.approx(x[31], rel=1e-4)
+    merged = replace(twins, factor=factor @ np.diag(np.append(np.ones(31), [0.0, 1.0])))
+    assert cost(twins, x) == pytest.approx(cost(merged, solve_newton(merged).x), rel=1e-9)
+
+
 def test_what_newton_refuses():
     problem = entropic_fit(11)
     with pytest.raises(ArgumentError, match=r"entropic or quadratic prior for every.*\[20\]"):
         priors = {start: problem.entropic[start] for start in BODIES[:2]}
         solve_newton(replace(problem, entropic=priors))
+
+
+PRIOR_AND_FRICTION = np.append(TWO.ravel(), 0.0)
+
+
+def data(seed, *, rows=12, **options):
+    """Fewer rows than parameters."""
+    return random_data(seed, TWO, rows=rows, **options)
+
+
+def squared_distance(phi):
+    """½ Σ log² λ by generalized eigenvalues, one body at a time."""
+    total = 0.0
+    for body, prior in zip(phi, TWO, strict=True):
+        ratios = np.linalg.eigvals(np.linalg.solve(pseudo_inertia(prior), pseudo_inertia(body)))
+        if ratios.real.min() <= 0:
+            return np.inf
+        total += 0.5 * np.sum(np.log(ratios.real) ** 2)
+    return total
+
+
+def own_cost(x, A, b, gamma):
+    """The cost as the source states it, without any of the package's coordinates; finite."""
+    if not is_physical(x[:20].reshape(2, 10)).all():
+        return 1e12
+    return np.sum((A @ x - b) ** 2) + gamma * squared_distance(x[:20].reshape(2, 10))
+
+
+@given(seed=st.integers(0, 10_000), spread=st.floats(1e-3, 1.5))
+@settings(max_examples=6)
+def test_derivatives_are_those_of_finite_differences(seed, spread):
+    V = np.random.default_rng(seed).normal(size=(5, 4, 4)) * spread
+    S, h = np.array([expm(0.5 * (v + v.T)) for v in V]), 1e-5
+    gradient, hessian = log_derivatives(S)
+    for k, basis in enumerate(SYMMETRIC_BASIS):
+        size = h * np.linalg.eigvalsh(S)[:, 0, None]
+        step = size[..., None] * basis
+        slope = (half_squared_logs(S + step) - half_squared_logs(S - step)) / (2 * size[:, 0])
+        np.testing.assert_allclose(
+            gradient[:, k], slope, rtol=1e-6, atol=1e-6 * np.abs(gradient).max()
+        )
+        change = (log_derivatives(S + step)[0] - log_derivatives(S - step)[0]) / (2 * size)
+        np.testing.assert_allclose(hessian[:, k], change, atol=1e-6 * np.abs(hessian).max())
+
+
+def test_another_optimizer_finds_the_same():
+    """BFGS on the source's own cost, in the parameters themselves."""
+    A, b = data(0, extra=1)
+    result = identify(A, b, TWO, regularizer="riemannian", gamma=0.3)
+    x = np.append(result.phi.ravel(), result.extra)
+    found = result.residual + 0.3 * result.divergence
+    assert found == pytest.approx(own_cost(x, A, b, 0.3), rel=1e-9)
+    root = block_diag(*np.linalg.inv(np.linalg.cholesky(pullback_metric(TWO))), [[1.0]])
+    other = minimize(
+        lambda y: own_cost(PRIOR_AND_FRICTION + root.T @ y, A, b, 0.3), np.zeros(21), method="BFGS"
+    )
+    assert found <= other.fun * (1 + 1e-9)
+    assert found == pytest.approx(other.fun, rel=1e-6)
+    assert is_physical(result.phi).all() and result.minima.strict
 
 
 def test_several_minima_are_found_and_reported():
@@ -130,6 +232,22 @@ def test_no_fit_is_certified_without_a_solution_of_the_program(monkeypatch):
     assert told.x is fit.x and np.isinf(told.certificate.gap) and not told.certificate.holds
     assert told.certificate.violation < 1e-9 and "could not certify" in told.notes[-1]
     assert "No digits are left" in told.notes[-1]
+
+
+@settings(max_examples=4)
+@given(st.integers(0, 999), st.floats(-4.0, 4.0), st.floats(1e-5, 0.3))
+def test_the_gap_bounds_how_far_any_parameters_are_from_the_least_cost(seed, log_gamma, share):
+    problem = entropic_fit(seed, gamma=10.0**log_gamma, rows=40)
+    fit = solve_newton(problem)
+    wrong = moved(fit, share)
+    program = build_fit(problem, centre=fit.x)
+    here = program.evaluated(wrong.x)[0]
+    there = program.evaluated(fit.x)[0]
+    assert here - there == pytest.approx(
+        cost(problem, wrong.x) - cost(problem, fit.x), rel=1e-6, abs=1e-9 * program.cost_scale
+    )
+    told = certified(problem, fit)
+    assert told.certificate.holds and not told.certificate.replaced
 
 
 def test_a_minimum_around_which_the_cost_is_not_convex_is_not_certified():

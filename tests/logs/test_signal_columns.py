@@ -356,7 +356,7 @@ def test_normalized_positions_are_shares_of_the_range(joint):
     expected = low + (high - low) * share / 100.0
     np.testing.assert_allclose(log.position[:, 0], expected, atol=1e-9)
     np.testing.assert_allclose(log.command[:, 0], expected, atol=1e-9)
-    with pytest.raises(LogError, match="the model has no limits of it"):
+    with pytest.raises(LogError, match="the model has no limits for it"):
         log_of_frame(columns, joints=[joint], reading=Reading(units=units))
 
 

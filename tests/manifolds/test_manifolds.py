@@ -146,10 +146,42 @@ class TestSteps:
 
 @on_every_manifold
 class TestMirrors:
+    @settings(max_examples=15)
+    @given(seed=st.integers(0, 2**31), size=st.floats(-3, 0.5))
+    def test_a_span_adds_covectors_to_gradients(self, manifold, seed, size):
+        """∇h(y) = ∇h(x) + Aᵀ λ, [Lee2019] Eq. (2.2.11); where there is no y, none is given."""
+        rng = np.random.default_rng(seed)
+        x, rows = random_point(manifold, rng), rng.normal(size=(2, manifold.dimension))
+        span, multipliers = manifold.calc_mirror_span(x, rows), rng.normal(size=2)
+        expected = rows @ np.linalg.solve(manifold.metric(x), rows.T)
+        np.testing.assert_allclose(span.products, expected, rtol=1e-8, atol=1e-9)
+        multipliers *= 10.0**size / np.sqrt(multipliers @ span.products @ multipliers)
+        y = span.point(multipliers)
+        if not manifold.contains(y):
+            assert 10.0**size > 0.7  # root of the least weight of a logarithm: no edge is nearer
+            return
+        wanted = manifold.gradient(x) + multipliers @ rows
+        terms = np.abs(manifold.gradient(y)) + np.abs(manifold.gradient(x)) + np.abs(wanted)
+        assert np.abs(manifold.gradient(y) - wanted).max() < 1e-7 * terms.max()
+
     def test_a_point_comes_back_from_its_gradient(self, manifold):
         x, near = random_point(manifold, np.random.default_rng(15), 2)
         y = manifold.calc_point_of_gradient(manifold.gradient(x), near)
         np.testing.assert_allclose(y, x, rtol=1e-7, atol=1e-9)
+
+
+def test_a_product_is_its_factors():
+    """In its barrier, which the axioms derive the rest from, and in the steps."""
+    rng = np.random.default_rng(0)
+    x, b = random_point(PRODUCT, rng), rng.normal(size=PRODUCT.dimension)
+    ends = np.cumsum([factor.dimension for factor in PRODUCT.manifolds])[:-1]
+    parts = list(zip(PRODUCT.manifolds, np.split(x, ends), np.split(b, ends), strict=True))
+    barriers = [factor.barrier(x) for factor, x, _ in parts]
+    assert PRODUCT.barrier(x) == pytest.approx(np.dot(PRODUCT.weights, barriers), rel=1e-9)
+    retracted = np.concatenate([factor.retract(x, b) for factor, x, b in parts])
+    np.testing.assert_allclose(PRODUCT.retract(x, b), retracted, rtol=1e-8, atol=1e-12)
+    x[3] = 1e3
+    assert not PRODUCT.contains(x)
 
 
 @settings(max_examples=60)
@@ -162,6 +194,23 @@ def test_bodies_that_count_as_physical_at_sight_are(seed, size):
     assert PhysicalInertia().contains(x) == (least > 0) or abs(least) < 1e-13
     x[rng.integers(10)] = rng.choice([np.nan, np.inf, -np.inf])
     assert not PhysicalInertia().contains(x)
+
+
+@pytest.mark.parametrize("name", ["positive", "inertia"])
+def test_retraction_follows_geodesics(name):
+    """Of constant speed, and shorter than the straight line between their ends."""
+    manifold, rng = MANIFOLDS[name], np.random.default_rng(11)
+    x, v = random_point(manifold, rng), 0.3 * rng.normal(size=manifold.dimension)
+    times = np.linspace(0, 1, 201)[:, None]
+
+    def speeds(path):
+        steps, middles = np.diff(path, axis=0), 0.5 * (path[1:] + path[:-1])
+        return np.sqrt(np.einsum("ki,kij,kj->k", steps, manifold.metric(middles), steps))
+
+    path = manifold.retract(x, times * v)
+    along = speeds(path)
+    np.testing.assert_allclose(along, along.mean(), rtol=1e-3)
+    assert along.sum() < speeds(x + times * (path[-1] - x)).sum()
 
 
 @settings(max_examples=20)
@@ -185,6 +234,19 @@ def test_nothing_about_inertias_knows_frame_or_units(seed, metre, kilogram):
         ):
             back = np.linalg.solve(view, now)
             np.testing.assert_allclose(back, then, rtol=0, atol=1e-8 * np.abs(then).max())
+
+
+@pytest.mark.parametrize(
+    ("manifold", "outside"),
+    [
+        (Positive(2), [1.0, 0.0]),
+        (Free(1), [np.nan]),
+        (MIXED, [1.0, 2.0, 0.0, 0.0]),
+        (PhysicalInertia(), np.zeros(10)),
+    ],
+)
+def test_edges_are_outside(manifold, outside):
+    assert not manifold.contains(outside)
 
 
 @pytest.mark.parametrize("step", [1e-15, -1e-12, 3e-8, 1e-5, 9.9e-4, -1.01e-3])
@@ -305,6 +367,19 @@ def test_bodies_may_be_orders_of_magnitude_from_where_they_are_to_be(seed, decad
     assert constraints.violation(y).max() <= 1e-9 * size
 
 
+def test_rows_that_barely_bind():
+    """Where an interior-point method alone is only as precise as the root of its gap."""
+    rng = np.random.default_rng(5)
+    for _ in range(10):
+        x, inside = random_inertia(rng, 2)
+        a, other = rng.normal(size=(2, 10))
+        a *= np.sign(a @ inside - a @ x)
+        y = bregman_projection(PhysicalInertia(), x, halfspace(a, a @ inside))
+        both = Polyhedron(np.stack([a, other]), [a @ inside, other @ y], [np.inf, np.inf])
+        again = bregman_projection(PhysicalInertia(), x, both)
+        np.testing.assert_allclose(again, y, atol=1e-9 * np.abs(y).max())
+
+
 class TestBadInput:
     X = random_inertia(np.random.default_rng(0))
 
@@ -398,3 +473,12 @@ def test_slabs_that_no_point_is_in_are_told():
         found = slab_projection(MIXED, x, rows, np.subtract(values, width), np.add(values, width))
         assert not found.certified
         assert found.error == np.inf
+
+
+def test_a_share_of_the_way_is_on_the_mirror_line():
+    x, A, b, epsilon, truth = slabs(np.random.default_rng(3), 3)
+    slabs_of = (MIXED, x, A, b - epsilon, b + epsilon)
+    whole, half = (slab_projection(*slabs_of, share=s).point for s in (1.0, 0.5))
+    start, end = MIXED.gradient(x), MIXED.gradient(whole)
+    np.testing.assert_allclose(MIXED.gradient(half), 0.5 * (start + end), rtol=1e-7, atol=1e-7)
+    assert MIXED.divergence(truth, half) <= MIXED.divergence(truth, x)

@@ -121,6 +121,20 @@ def test_tendons_of_mujoco_are_coupled_motors(tmp_path):
             np.testing.assert_allclose(data.joint(joint).qacc, value, rtol=1e-8, atol=1e-8)
 
 
+def test_joints_that_follow_polynomials_are_those_of_mujoco(tmp_path):
+    """Forces of the constraint do no work along J(q), which changes with q."""
+    model = loaded(tmp_path, MJCF.format(BENT), "m.xml")
+    assert model.joints == ("j", "s")
+    theirs = mujoco.MjModel.from_xml_string(MJCF.format(BENT))
+    motion = np.random.default_rng(0).uniform(-0.8, 0.8, (3, 5, 2))
+    x, w, a = motion[..., 0]
+    y = 0.1 + x + 0.4 * x**2 - 0.3 * x**3 + 0.2 * x**4
+    slope, bend = 1 + 0.8 * x - 0.9 * x**2 + 0.8 * x**3, 0.8 - 1.8 * x + 2.4 * x**2
+    follower = np.stack([y, slope * w, slope * a + bend * w**2])[..., None]
+    j, s, k = mujoco_efforts(theirs, "jsk", *np.concatenate([motion, follower], axis=-1)).T
+    assert_close(model.motion(Motion(*motion)).load, np.stack([j + slope * k, s], axis=1))
+
+
 def test_what_follows_a_follower_of_a_polynomial_follows_its_leader(tmp_path):
     """s = 0.05 − 0.7 k and k = p(j): both are of j, and the efforts of both are at it."""
     more = '<joint joint1="s" joint2="k" polycoef="0.05 -0.7 0 0 0"/></equality>'

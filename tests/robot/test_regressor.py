@@ -217,6 +217,9 @@ def test_small_singular_values_survive_where_the_gram_matrix_loses_them():
     assert abs(smallest / singular[-1] ** 2 - 1.0) > 1.0
 
 
+moving = sorted(set(JOINTS) - {"weld", "weld, reversed"})
+
+
 def wrench(plant, q, v, vd, **frame):
     return base_wrench_regressor(plant, q, v, vd, **frame) @ inertial_parameters(plant).ravel()
 
@@ -235,6 +238,35 @@ def test_efforts_and_wrench_of_a_free_base_are_pinocchios(name):
         assert_close(ours[i], theirs)
         assert_close(efforts[i, at], tau)
         assert_close(efforts[i, :6], np.concatenate([R @ theirs[:3], R @ theirs[3:]]))
+
+
+@settings(max_examples=15)
+@given(st.lists(st.sampled_from(moving), min_size=1, max_size=5), st.integers(0, 2**32 - 1))
+def test_wrench_is_the_rate_of_momentum_less_gravity(kinds, seed):
+    rng = np.random.default_rng(seed)
+    plant = random_plant(rng, kinds)
+    q, v, vd = random_motion(plant, rng, 1)
+    ours = wrench(plant, q, v, vd)[0]
+    context, step = plant.CreateDefaultContext(), 1e-5
+
+    def at(time):
+        """Momentum (n, f) about the world's origin, moving on from the sample."""
+        plant.SetPositions(context, q[0])
+        qd = plant.MapVelocityToQDot(context, v[0] + 0.5 * time * vd[0])
+        plant.SetPositions(context, q[0] + time * qd)
+        # Second order in time: the velocity's map to q̇ changes on the way, too.
+        middle = plant.MapVelocityToQDot(context, v[0] + 0.5 * time * vd[0])
+        plant.SetPositions(context, q[0] + 0.5 * time * (qd + middle))
+        plant.SetVelocities(context, v[0] + time * vd[0])
+        momentum = plant.CalcSpatialMomentumInWorldAboutPoint(context, np.zeros(3))
+        return np.r_[momentum.rotational(), momentum.translational()]
+
+    rate = (at(step) - at(-step)) / (2 * step)
+    plant.SetPositions(context, q[0])
+    weight = plant.CalcTotalMass(context) * plant.gravity_field().gravity_vector()
+    com = plant.CalcCenterOfMassPositionInWorld(context)
+    expected = rate - np.r_[np.cross(com, weight), weight]
+    np.testing.assert_allclose(ours, expected, atol=2e-6 * np.abs(expected).max())
 
 
 @settings(max_examples=50)

@@ -58,7 +58,7 @@ def adapted_parameters(model: RobotModel, names: Sequence[str]) -> NDArray[np.bo
     """Return which of a robot's parameters [φ, μ] belong to some bodies and effects.
 
     Args:
-        names: Bodies and kinds of effects: ["payload"], or ["wrist_3_link", "viscous_friction"].
+        names: Bodies and effects, by name.
 
     Returns:
         (p,) booleans, for a `PartialLaw`.

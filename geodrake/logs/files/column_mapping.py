@@ -259,7 +259,7 @@ def settled(
             low, high = reading.limits.get(joint, (-np.inf, np.inf))
             if not np.isfinite(high - low):
                 raise LogError(
-                    f"{column} is a share of the range of {joint}, but the model has no limits of "
+                    f"{column} is a share of the range of {joint}, but the model has no limits for "
                     "it.",
                     advice="Add them to the model, or use --model.",
                 )
@@ -418,7 +418,7 @@ def columns_of(
                 columns.places = places
                 columns.notes.append(f"{words}, so it is taken as time")
         if columns.rate is None and ("", "time") not in columns.places:
-            question = ": is it time? In which unit, a mapping can say. "
+            question = ": is it time? A mapping can state its unit. "
             reasons = [] if names else [f"; {n!r} {why}" for n, why in table.silent.items()]
             silent = "".join(reasons[:_FEW_WORDS])
             raise LogError(
