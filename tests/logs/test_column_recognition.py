@@ -29,7 +29,7 @@ NAMES = {
         "joint_speeds[1]": 1, "Nopeus kyynärpää (rad/s)": "Nopeus kyynärpää"},
     "acceleration": {"q2d_3": 3, "qd2[1]": 1},
     "effort": {"target_moment_0": 0, "tau_J[3]": 3, "shoulder_eff": "shoulder", "q1_torque": 1,
-        "MeasuredTorque_A1": 1, "field.effort4": 4, "Drehmomentistwert 2 [Nm]": 2,
+        "MeasuredTorque_A1": 1, "couple_2": 2, "field.effort4": 4, "Drehmomentistwert 2 [Nm]": 2,
         "Vridmoment axel 2": 2, "qfrc_actuator[elbow]": "elbow",
         "elbow_tau_J": "elbow", "/effort_controller/command[2]": 2,
         "軸3トルク": 3, "Момент 3 [Нм]": 3, "Par 1 [N·m]": 1, "present_load_3 [%]": 3},
@@ -52,7 +52,7 @@ NAMES = {
 """Quantity -> names, and joint or number in each; limits and supplies are no signals of joints."""
 UNITS = {
     "deg": (np.pi / 180.0, ("q1[deg]", "q_deg_1", "q1 / deg", "q1 in °", "q1, deg", "[deg] q1",
-        "q1.deg", "关节3实际位置（度）", "Положение 3, град", "hoek 3 [graden]",
+        "q1.deg", "joint1PosDeg", "关节3实际位置（度）", "Положение 3, град", "hoek 3 [graden]",
         "Istposition Achse 3 [Grad]", "position_3［deg］")),
     "deg/s": (np.pi / 180.0, ("vel_1[deg/s]", "joint1VelDegS", "vel1_dps", "dq1 / deg/s",
         "dq1 (degrees/second)", "dq1.degs", "J1 Velocity (deg/sec)")),
@@ -61,8 +61,9 @@ UNITS = {
     "rev/s": (2.0 * np.pi, ("vel_estimate", "vel3_turns_per_s")),
     "arcmin": (np.pi / 10800.0, ("q3 [arcmin]",)), "cNm": (0.01, ("tau3_cNm",)),
     "mrad": (1e-3, ("q/joint2[mrad]",)), "mm": (1e-3, ("pos_1 (mm)",)),
-    "Nm": (1.0, ("tau1 [N·m]", "Момент 3 [Нм]", "torque3 (Newton-meters)")),
+    "Nm": (1.0, ("j2_tau_nm", "tau1 [N·m]", "Момент 3 [Нм]", "torque3 (Newton-meters)")),
     "Nmm": (1e-3, ("torque_1_Nmm", "effort/elbow [Nmm]", "tau/J2_Nmm")),
+    "lbin": (0.1129848290276167, ("J1 Torque (lb-in)",)),
     "kgfcm": (0.0980665, ("torque1 [kgf.cm]",)), "us": (1e-6, ("Time[us]",)),
     "ns": (1e-9, ("%time",)), "%": (1e-2, ("pwm_2 (%)", "pwm_2_%",
         "torque3 [% rated]")), "permille": (1e-3, ("elbow.present_load",)),
@@ -166,8 +167,12 @@ def test_names_that_may_be_of_two_joints_are_of_none():
 
 def test_measured_before_desired():
     assert meaning_of("actual_q_0").role == MEASURED
-    roles = [meaning_of(n).role for n in ("tau_J[0]", "tau_J_d[0]", "tau_ext_hat_filtered[0]")]
-    assert roles == sorted(set(roles))
+    for names in (
+        ("tau_J[0]", "tau_J_d[0]", "tau_ext_hat_filtered[0]"),
+        ("axisTauMsr_LBR_iiwa_7_R800_1[0]", "axisTauExtMsr_LBR_iiwa_7_R800_1[0]"),
+    ):
+        roles = [meaning_of(name).role for name in names]
+        assert roles == sorted(set(roles))
     asked = ("q_cmd_1", "q_des_1", "target_q_0", "goal_position", "command/positions[2]")
     for meaning in map(meaning_of, (*asked, "action[0]", "Soll-Winkel 2 [°]")):
         assert meaning.quantity in ("position", "command") and meaning.is_wanted

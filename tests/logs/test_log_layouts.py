@@ -1,4 +1,4 @@
-"""Logs as robots' own loggers and other people's scripts write them, read without a mapping."""
+"""Logs as loggers of robots and scripts of their users write them."""
 
 import json
 from datetime import UTC, datetime, timedelta
@@ -22,22 +22,25 @@ ROWS = 200
 
 
 def motion(joints, rate=500.0):
-    """Time (N,), and positions, velocities and efforts (N, n) of a motion in plain formulas."""
+    """Return time (N,), and positions, velocities and efforts (N, n) of a motion."""
     time = np.arange(ROWS) / rate
     speed = 2.0 + np.arange(len(joints))
     angle = time[:, None] * speed
     return time, 0.4 * np.sin(angle), 0.4 * speed * np.cos(angle), 3.0 * np.sin(angle) + speed
 
 
-def write(path, names, columns, separator=",", head=""):
-    table = np.column_stack(columns)
-    lines = [separator.join(repr(float(x)) for x in row) for row in table]
-    path.write_text(head + "\n".join([separator.join(names), *lines]) + "\n", encoding="utf-8")
+def named(names, *parts):
+    """Return the columns of arrays by name."""
+    return dict(zip(names, np.column_stack(parts).T, strict=True))
+
+
+def write(path, names, columns):
+    pandas.DataFrame(named(names, *columns)).to_csv(path, index=False)
     return path
 
 
-def indexed(name, count, form="{}_{}", first=0):
-    return [form.format(name, k) for k in range(first, first + count)]
+def indexed(name, count):
+    return [f"{name}_{k}" for k in range(count)]
 
 
 def check(log, joints, q, v, tau):
@@ -51,26 +54,25 @@ def test_no_header_and_no_time(tmp_path):
     _, q, _, tau = motion(("a",))
     path = tmp_path / "log.csv"
     np.savetxt(path, np.column_stack([q, 7 * q, tau]), delimiter=",")
-    with pytest.raises(LogError, match=r"has no header.*--columns"):
-        read_log(path)
     names = ("a.position", "_", "a.effort")
-    with pytest.raises(LogError, match="sampling rate with --rate"):
-        read_log(path, reading=Reading(columns=names))
+    for reading, words in (
+        ({}, r"has no header.*--columns"),
+        ({"columns": names}, "sampling rate with --rate"),
+        ({"columns": names[:2]}, "has 3 columns, but --columns names 2"),
+    ):
+        with pytest.raises(LogError, match=words):
+            read_log(path, reading=Reading(**reading))
     log = read_log(path, reading=Reading(columns=names, rate=250.0))
     check(log, ("a",), q, None, tau)
     assert np.allclose(log.time, np.arange(ROWS) / 250.0)
-    with pytest.raises(LogError, match="has 3 columns, but --columns names 2"):
-        read_log(path, reading=Reading(columns=names[:2]))
 
 
-def test_units_by_option(tmp_path):
+def test_units_by_option(read_table):
     time, q, v, tau = motion(("a",))
     names = ["time", "a.position", "a.velocity", "a.effort"]
-    path = write(
-        tmp_path / "log.csv", names, [1e3 * time, np.rad2deg(q), v * 30 / np.pi, 1e3 * tau / 2]
-    )
+    columns = named(names, 1e3 * time, np.rad2deg(q), v * 30 / np.pi, 1e3 * tau / 2)
     units = {"time": "ms", "position": "°", "velocity": "rpm", "effort": "mA"}
-    log = read_log(path, reading=Reading(units=units, gains={"a": 2.0}))
+    log = read_table(columns, units=units, gains={"a": 2.0})
     check(log, ("a",), q, v, tau)
     assert np.allclose(log.time, time)
     for words in ("position is in deg", "velocity is in rpm", "effort is in mA", "time is in ms"):
@@ -152,7 +154,7 @@ def test_torn_rows_are_named_and_left_out_if_asked(tmp_path, kind):
 def test_more_than_one_per_cent_is_not_left_out(tmp_path):
     rows = [f"{0.01 * k:.2f},{k},{k}" if k % 50 else "x,y,z" for k in range(1000)]
     path = tmp_path / "log.csv"
-    path.write_text("\n".join(["time,a.position,a.effort", *rows]) + "\n")
+    path.write_text("\n".join(["time,a.position,a.effort", *rows]))
     with pytest.raises(LogError, match=r"Row 1,.*Corrupt rows are 1, 51, 101.* At most 1 %"):
         read_log(path, reading=Reading(skip_bad_rows=True))
 
@@ -165,45 +167,41 @@ joints:
 """
 
 
-def test_mapping(tmp_path):
+def test_mapping(tmp_path, read_table):
     time, q, _, tau = motion(("shoulder", "elbow"))
     names = ["ticks", "phi_s", "phi_e", "i_s", "i_e", "junk"]
     currents = tau / np.array([3.0, -2.0])
-    path = write(tmp_path / "log.csv", names, [1e3 * time, np.rad2deg(q), currents, np.zeros(ROWS)])
     (tmp_path / "m.yaml").write_text(MAPPING)
     mapping = read_mapping(tmp_path / "m.yaml")
-    log = read_log(path, joints=("elbow", "shoulder"), reading=Reading(mapping=mapping))
+    columns = named(names, 1e3 * time, np.rad2deg(q), currents, np.zeros(ROWS))
+    log = read_table(columns, ("elbow", "shoulder"), mapping=mapping)
     check(log, ("elbow", "shoulder"), q[:, ::-1], None, tau[:, ::-1])
     assert np.allclose(log.time, time)
-    write(path, ["t", *names[1:]], [time, q, currents, tau])
     with pytest.raises(LogError, match=r"no column 'ticks', which mapping .*m\.yaml maps"):
-        read_log(path, reading=Reading(mapping=mapping))
-    write(path, ["ticks", "phi_s", "phi_e", "i_e", "i_s"], [time, q, currents])
+        read_table(named(["t", *names[1:]], time, q, currents, 0.0 * time), mapping=mapping)
     words = "m.yaml uses column 'i_e' twice, for 'shoulder.effort' and for 'elbow.effort'"
     with pytest.raises(ArgumentError, match=words):  # by its number and by its name
-        read_log(path, reading=Reading(mapping=mapping))
+        read_table(named([*names[:3], "i_e", "i_s"], time, q, currents), mapping=mapping)
 
 
-def test_mapped_signals(tmp_path):
+def test_mapped_signals(tmp_path, read_table):
     time, q, _, s = motion(("shoulder", "elbow"))
-    names = ["t", "a", "b", "ca", "cb", "told"]
-    write(tmp_path / "log.csv", names, [time, q, s, q[:, :1] + 0.1])
+    columns = named(["t", "a", "b", "ca", "cb", "told"], time, q, s, q[:, :1] + 0.1)
     (tmp_path / "m.yaml").write_text(
         "time: t\njoints:\n"
         "  one: {position: {column: a, unit: deg}, current: {column: ca, unit: mA, gain: 2}, "
         "command: told}\n"
         "  two: {position: b, effort: {column: cb, unit: A, gain: 3 ± 0.6}}\n"
     )
-    reading = Reading(mapping=read_mapping(tmp_path / "m.yaml"))
-    log = read_log(tmp_path / "log.csv", reading=reading)
+    mapping = read_mapping(tmp_path / "m.yaml")
+    log = read_table(columns, mapping=mapping)
     assert log.effort_kinds == {"one": "current"}
     assert np.allclose(log.effort, s * [2e-3, 3.0])
     assert np.allclose(log.effort_uncertainty, [0.05, 0.2])
     assert np.allclose(log.command[:, 0], np.deg2rad(q[:, 0] + 0.1))
     assert np.isnan(log.command[:, 1]).all()
     with pytest.raises(LogError, match="is current by the mapping, but voltage by --kind"):
-        kinds = {"one": "voltage"}
-        read_log(tmp_path / "log.csv", reading=Reading(mapping=reading.mapping, kinds=kinds))
+        read_table(columns, mapping=mapping, kinds={"one": "voltage"})
 
 
 @pytest.mark.parametrize(
@@ -288,14 +286,13 @@ ORDERS = {
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 @pytest.mark.parametrize("kind", ORDERS)
 def test_day_and_month_are_told_once_for_a_column(tmp_path, monkeypatch, kind, suffix):
-    """Rows whose dates have both orders may come before the one that tells."""
+    """The row that shows the order may follow rows that have both."""
     monkeypatch.setattr("geodrake.logs.files.text_file._LINES_AHEAD", 10)
     start, form, first, why = ORDERS[kind]
     time, q, _, tau = motion(("a",))
     begin = pandas.Timestamp(start) + pandas.Timedelta(seconds=0 if kind == "one day" else 86399.9)
-    frame = pandas.DataFrame({"a.position": q[:, 0], "a.effort": tau[:, 0]})
-    moments = begin + pandas.to_timedelta(time, unit="s")
-    frame.insert(0, "time", moments.strftime(f"{form} %H:%M:%S.%f"))
+    moments = (begin + pandas.to_timedelta(time, unit="s")).strftime(f"{form} %H:%M:%S.%f")
+    frame = pandas.DataFrame({"time": moments, "a.position": q[:, 0], "a.effort": tau[:, 0]})
     path = tmp_path / f"log{suffix}"
     frame.to_csv(path, index=False) if suffix == ".csv" else frame.to_parquet(path)
     log = read_log(path)
@@ -314,27 +311,16 @@ def test_dates_elsewhere_say_nothing_of_the_order_in_a_column(tmp_path):
 
 
 @pytest.mark.parametrize("stamp", ["yesterday", "2026-02-30T12:00:00"])
-def test_texts_that_are_no_dates(tmp_path, stamp):
+def test_texts_that_are_no_dates(read_table, stamp):
     time, q, _, tau = motion(("a",))
-    stamps = dated_rows(time, DATES["Z"])
-    stamps[30] = stamp
-    lines = [f"{s},{x},{y}" for s, x, y in zip(stamps, q[:, 0], tau[:, 0], strict=True)]
-    path = tmp_path / "log.csv"
-    path.write_text("\n".join(["time,a.position,a.effort", *lines]))
+    dates, columns = dated_rows(time, DATES["Z"]), {"a.position": q[:, 0], "a.effort": tau[:, 0]}
+    stamps = [*dates[:30], stamp, *dates[31:]]
     with pytest.raises(LogError, match=rf"Row 31, column 'time'.*{stamp}.*not a date"):
-        read_log(path)
-    path.write_text("\n".join(["time,a.position,a.effort", *["soon,1,2"] * 20]))
+        read_table({"time": stamps, **columns})
     with pytest.raises(LogError, match=r"'soon', which is not a number\..*from its first row"):
-        read_log(path)
-
-
-def test_dates_are_no_positions(tmp_path):
-    rows = enumerate(dated_rows(np.arange(20.0), DATES["Z"]))
-    lines = [f"{t},{date},{t % 3}" for t, date in rows]
-    path = tmp_path / "log.csv"
-    path.write_text("\n".join(["time,a.position,a.effort", *lines]))
+        read_table({"time": ["soon"] * ROWS, **columns})
     with pytest.raises(LogError, match=r"'a.position'.*position of a, but has dates"):
-        read_log(path)
+        read_table({"time": time, **columns, "a.position": dates})
 
 
 HIP = ("hip", "knee")
@@ -404,7 +390,7 @@ LAYOUTS = {
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
-def test_names_of_columns_say_what_was_measured_at_joints(tmp_path, name):
+def test_names_of_columns_say_what_was_measured_at_joints(read_table, name):
     joints, forms = LAYOUTS[name]
     time, q, v, tau = motion(joints)
     known = {"q": q, "v": v, "tau": tau, "other": q + 1.0, "8": 0.0 * q + 8.0, "0": 0.0 * q}
@@ -417,26 +403,22 @@ def test_names_of_columns_say_what_was_measured_at_joints(tmp_path, name):
             words = {"k": k, "one": k + 1, "joint": joint, "part": PARTS[k], "side": side}
             words |= {"letter": side[0], "capital": side[0].upper(), "rest": "_".join(rest[:-1])}
             columns[form.format(**words)] = known[what][:, k]
-    path = tmp_path / "log.csv"
-    pandas.DataFrame(columns).to_csv(path, index=False)
     has_speed = not {"v", "turns/s"}.isdisjoint(forms.values())
-    check(read_log(path, joints=joints), joints, q, v if has_speed else None, tau)
+    check(read_table(columns, joints), joints, q, v if has_speed else None, tau)
 
 
 @pytest.mark.parametrize("form", ["{}_{}_{}", "/{}/joint_states/{}/{}", "{}.{}.{}"])
-def test_two_robots_alike_are_asked_about(tmp_path, form):
+def test_two_robots_alike_are_asked_about(read_table, form):
     time, q, _, tau = motion(UR)
-    names, columns = ["time"], [time]
-    for side, scale in (("left", 1.0), ("right", 0.5)):
+    sides, columns = {"left": 1.0, "right": 0.5}, {"time": time}
+    for side, scale in sides.items():
         for what, values in (("position", scale * q), ("effort", scale * tau)):
-            names += [form.format(side, joint, what) for joint in UR]
-            columns.append(values)
-    path = write(tmp_path / "log.csv", names, columns)
+            columns |= named([form.format(side, joint, what) for joint in UR], values)
     asks = "each joint twice: of left and of right. Choose one: --topic left"
     with pytest.raises(LogError, match=asks):
-        read_log(path, joints=UR)
-    for side, scale in (("left", 1.0), ("right", 0.5)):
-        log = read_log(path, joints=UR, reading=Reading(topic=side))
+        read_table(columns, UR)
+    for side, scale in sides.items():
+        log = read_table(columns, UR, topic=side)
         check(log, UR, scale * q, None, scale * tau)
         assert not any("no meaning" in note for note in log.notes)
 
@@ -453,20 +435,21 @@ ARMS = {
 
 @pytest.mark.parametrize("form", ARMS.values(), ids=ARMS)
 @pytest.mark.parametrize("model", ["{side}_arm_joint_{one}", "yumi_{one}_joint_{letter}"])
-def test_joints_numbered_by_arm(tmp_path, form, model):
+def test_joints_numbered_by_arm(read_table, form, model):
     sides = [{"side": side, "letter": side[0]} for side in ("right", "left")]
     joints = tuple(model.format(**side, one=k + 1) for side in sides for k in range(4))
     time, q, _, tau = motion(joints)
-    names = ["time"]
-    for what in ("position", "torque"):
-        names += [
-            form.format(**s, what=what, k=k, one=k + 1) for s in sides[::-1] for k in range(4)
-        ]
+    names = [
+        form.format(**side, what=what, k=k, one=k + 1)
+        for what in ("position", "torque")
+        for side in sides[::-1]
+        for k in range(4)
+    ]
     turned = [np.hstack([values[:, 4:], values[:, :4]]) for values in (q, tau)]
-    path = write(tmp_path / "log.csv", names, [time, *turned])
-    check(read_log(path, joints=joints), joints, q, None, tau)
+    columns = named(["time", *names], time, *turned)
+    check(read_table(columns, joints), joints, q, None, tau)
     with pytest.raises(LogError, match=r"each joint twice: of l(eft)? and of r(ight)?"):
-        read_log(path, joints=PANDA[:4])
+        read_table(columns, PANDA[:4])
 
 
 def test_a_file_for_each_arm(tmp_path):
@@ -481,125 +464,99 @@ def test_a_file_for_each_arm(tmp_path):
         read_log(path, joints=PANDA[:3])
 
 
-def test_positions_of_two_robots_with_efforts_of_one_are_asked_about(tmp_path):
+def test_positions_of_two_robots_with_efforts_of_one_are_asked_about(read_table):
     time, q, _, tau = motion(PANDA)
-    names = ["time", *(f"{who}_q[{k}]" for who in ("master", "slave") for k in range(7))]
-    names += [f"slave_tau[{k}]" for k in range(7)]
-    path = write(tmp_path / "log.csv", names, [time, q + 1.0, q, tau])
+    forms = ("master_q[{}]", "slave_q[{}]", "slave_tau[{}]")
+    names = ["time", *(form.format(k) for form in forms for k in range(7))]
+    columns = named(names, time, q + 1.0, q, tau)
     with pytest.raises(LogError, match="each joint twice: of master and of slave"):
-        read_log(path, joints=PANDA)
-    check(read_log(path, joints=PANDA, reading=Reading(topic="slave")), PANDA, q, None, tau)
+        read_table(columns, PANDA)
+    check(read_table(columns, PANDA, topic="slave"), PANDA, q, None, tau)
 
 
-def test_one_name_that_fits_by_chance_is_not_the_only_joint(tmp_path):
+def test_one_name_that_fits_by_chance_is_not_the_only_joint(read_table):
     time, q, _, tau = motion(IIWA[:4])
     names = ["time", *(f"{what}_{letter}" for what in ("q", "tau") for letter in "ABCD")]
-    path = write(tmp_path / "log.csv", names, [time, q, tau])
     with pytest.raises(LogError, match="of which the model has none"):
-        read_log(path, joints=IIWA[:4])
+        read_table(named(names, time, q, tau), IIWA[:4])
 
 
 @pytest.mark.parametrize("robots", [("1", "2"), ("a", "b")])
-def test_rows_of_several_robots(tmp_path, robots):
+@pytest.mark.parametrize("in_turn", [True, False])
+def test_rows_of_several_robots(read_table, robots, in_turn):
     time, q, _, tau = motion(("a",))
+    scales = dict(zip(robots, (1.0, 0.5), strict=True))
     rows = [
-        f"{robot},{t!r},{scale * x!r},{scale * y!r}"
-        for t, x, y in zip(time.tolist(), q[:, 0].tolist(), tau[:, 0].tolist(), strict=True)
-        for robot, scale in zip(robots, (1.0, 0.5), strict=True)
+        {"robot_id": robot, "time": t, "q": scale * x, "tau": scale * y}
+        for robot, scale in scales.items()
+        for t, x, y in zip(time, q[:, 0], tau[:, 0], strict=True)
     ]
-    path = tmp_path / "log.csv"
-    path.write_text("\n".join(["robot_id,time,q,tau", *rows]))
+    if in_turn:
+        rows.sort(key=lambda row: row["time"])
     asks = f"rows of 2 robots, by column 'robot_id': .*Choose one: --topic {robots[0]}"
     with pytest.raises(LogError, match=asks):
-        read_log(path)
-    for robot, scale in zip(robots, (1.0, 0.5), strict=True):
-        log = read_log(path, joints=("a",), reading=Reading(topic=robot))
+        read_table(rows, ("a",))
+    for robot, scale in scales.items():
+        log = read_table(rows, ("a",), topic=robot)
         check(log, ("a",), scale * q, None, scale * tau)
         assert not any("no meaning" in note for note in log.notes)
 
 
-def test_two_robots_one_after_the_other(tmp_path):
-    time, q, _, tau = motion(("a",))
-    rows = [np.hstack(np.broadcast_arrays(k, time[:, None], q, tau)) for k in (0.0, 1.0)]
-    path = write(tmp_path / "log.csv", ["robot_id", "time", "q", "tau"], [*np.vstack(rows).T])
-    with pytest.raises(LogError, match="rows of 2 robots, by column 'robot_id': 0, 1"):
-        read_log(path, joints=("a",))
-    check(read_log(path, joints=("a",), reading=Reading(topic="1")), ("a",), q, None, tau)
-
-
 def test_a_list_of_one_number_is_its_item_in_a_mapping(tmp_path):
     time, q, _, tau = motion(("a",))
-    rows = zip(time.tolist(), q.tolist(), tau.tolist(), strict=True)
-    lines = [json.dumps({"t": t, "q": own, "effort": effort}) for t, own, effort in rows]
-    (tmp_path / "log.jsonl").write_text("\n".join(lines))
+    frame = pandas.DataFrame({"t": time, "q": q.tolist(), "effort": tau.tolist()})
+    frame.to_json(tmp_path / "log.jsonl", orient="records", lines=True, double_precision=15)
     joint = {"position": MappedColumn("q[0]"), "effort": MappedColumn("effort")}
     mapping = ColumnMapping({"a": joint}, MappedColumn("t"))
     log = read_log(tmp_path / "log.jsonl", joints=("a",), reading=Reading(mapping=mapping))
     check(log, ("a",), q, None, tau)
 
 
-@pytest.mark.parametrize("words", [("moving", "idle"), ("2", "5")])
-def test_a_robot_that_moves_on_is_one(tmp_path, words):
+@pytest.mark.parametrize("words", [("moving", "idle"), ("2", "5"), ("ur5", "ur5")])
+def test_a_robot_that_moves_on_is_one(read_table, words):
     time, q, _, tau = motion(("a", "b"))
-    columns = {"time": time, "q1": q[:, 0], "q2": q[:, 1], "tau1": tau[:, 0], "tau2": tau[:, 1]}
     state = np.array(words)[np.arange(ROWS) // 30 % 2]
-    frame = pandas.DataFrame({"arm": state, **columns})
-    frame.to_csv(tmp_path / "log.csv", index=False)
-    log = read_log(tmp_path / "log.csv", joints=("a", "b"))
+    columns = named(["time", "q1", "q2", "tau1", "tau2"], time, q, tau)
+    log = read_table({"arm": state, **columns}, ("a", "b"))
     check(log, ("a", "b"), q, None, tau)
     assert any("all rows are of one robot" in note for note in log.notes)
+    if len(set(words)) == 1:
+        return
 
     # Of another robot, joints jump where the word changes, or it may stand where this one stood.
-    frame.loc[state == words[1], "q1"] += 0.5
-    frame.to_csv(tmp_path / "log.csv", index=False)
-    with pytest.raises(LogError, match="if all rows are of one robot, --topic all"):
-        read_log(tmp_path / "log.csv", joints=("a", "b"))
-    log = read_log(tmp_path / "log.csv", joints=("a", "b"), reading=Reading(topic="all"))
-    np.testing.assert_array_equal(log.position[:, 0], frame["q1"])
-    # Nor is a joint without a number, which no warning of NumPy's is about.
-    frame.assign(q3=np.nan).to_csv(tmp_path / "log.csv", index=False)
-    with pytest.raises(LogError, match="if all rows are of one robot, --topic all"):
-        read_log(tmp_path / "log.csv", joints=("a", "b"))
+    jumping = {"arm": state, **columns, "q1": q[:, 0] + 0.5 * (state == words[1])}
+    for more in ({}, {"q3": np.nan}):  # a joint without a number shows nothing, either
+        with pytest.raises(LogError, match="if all rows are of one robot, --topic all"):
+            read_table({**jumping, **more}, ("a", "b"))
+    log = read_table(jumping, ("a", "b"), topic="all")
+    np.testing.assert_array_equal(log.position[:, 0], jumping["q1"])
 
 
-def test_all_rows_of_one_device_are_said(tmp_path):
-    time, q, _, tau = motion(("a",))
-    columns = {"device": "ur5", "time": time, "q": q[:, 0], "tau": tau[:, 0]}
-    pandas.DataFrame(columns).to_csv(tmp_path / "log.csv", index=False)
-    log = read_log(tmp_path / "log.csv", joints=("a",))
-    assert "all rows are of one robot: 'device' is 'ur5'" in log.notes
-
-
-def test_efforts_of_the_row_before_are_used_if_there_are_no_others(tmp_path):
+def test_efforts_of_the_row_before_are_used_if_there_are_no_others(read_table):
     time, q, _, tau = motion(("a",))
     late = np.roll(tau, 1, axis=0)
-    path = write(tmp_path / "log.csv", ["time", "q", "tau_prev"], [time, q, late])
-    log = read_log(path, joints=("a",))
+    log = read_table(named(["time", "q", "tau_prev"], time, q, late), ("a",))
     check(log, ("a",), q, None, late)
     assert "effort: by name, of the row before: tau_prev" in log.notes
     names = ["time", "q1", "q2", "tau_1", "tau_prev_2"]
-    path = write(tmp_path / "part.csv", names, [time, q, q, tau, late])
-    log = read_log(path, joints=("a", "b"))
+    log = read_table(named(names, time, q, q, tau, late), ("a", "b"))
     check(log, ("a", "b"), np.hstack([q, q]), None, np.hstack([tau, late]))
     assert "effort: by name, of the row before: tau_prev_2" in log.notes
     names = ["time", "q", "q_prev", "dq_prev", "tau_prev", "tau"]
-    path = write(tmp_path / "both.csv", names, [time, q, q, q, late, tau])
-    check(read_log(path, joints=("a",)), ("a",), q, None, tau)
+    check(read_table(named(names, time, q, q, q, late, tau), ("a",)), ("a",), q, None, tau)
 
 
 @pytest.mark.parametrize(("name", "unit"), [("ms", 1e-3), ("us", 1e-6), ("millis", 1e-3)])
-def test_a_unit_of_time_alone_is_time(tmp_path, name, unit):
+def test_a_unit_of_time_alone_is_time(read_table, name, unit):
     time, q, _, tau = motion(("a",))
-    path = write(tmp_path / "log.csv", [name, "q", "tau"], [np.rint(time / unit), q, tau])
-    log = read_log(path, joints=("a",))
+    names = [name, "q", "tau"]
+    log = read_table(named(names, np.rint(time / unit), q, tau), ("a",))
     np.testing.assert_allclose(log.time, time, atol=1e-12)
     late = np.rint(np.cumsum(np.where(np.arange(ROWS) % 5, 0.01, 0.03)) / unit)
-    path = write(tmp_path / "late.csv", [name, "q", "tau"], [late, q, tau])
-    log = read_log(path, joints=("a",))
+    log = read_table(named(names, late, q, tau), ("a",))
     np.testing.assert_allclose(np.diff(log.time), np.diff(late) * unit, atol=1e-12)
-    part = write(tmp_path / "part.csv", [name, "q", "tau"], [np.rint(time / unit) % 100, q, tau])
-    with pytest.raises(LogError, match="has no column 'time'"):
-        read_log(part, joints=("a",))
+    with pytest.raises(LogError, match="has no column 'time'"):  # the part of a second
+        read_table(named(names, np.rint(time / unit) % 100, q, tau), ("a",))
 
 
 CLOCK = np.arange(ROWS) / 100.0
@@ -638,13 +595,11 @@ CLOCKS = {
 
 
 @pytest.mark.parametrize("name", CLOCKS)
-def test_clocks_of_all_kinds(tmp_path, name):
-    """Times of day go on after midnight, and after noon."""
+def test_clocks_of_all_kinds(read_table, name):
+    """Times of day continue after midnight, and after noon."""
     clock, off, words = CLOCKS[name]
     _, q, v, tau = motion(("a",))
-    columns = {"a.position": q[:, 0], "a.velocity": v[:, 0], "a.effort": tau[:, 0]}
-    pandas.DataFrame(clock | columns).to_csv(tmp_path / "log.csv", index=False)
-    log = read_log(tmp_path / "log.csv")
+    log = read_table(clock | named(["a.position", "a.velocity", "a.effort"], q, v, tau))
     check(log, ("a",), q, v, tau)
     np.testing.assert_allclose(log.time - log.time[0], CLOCK, atol=off)
     assert words in " ".join(log.notes)
@@ -652,51 +607,51 @@ def test_clocks_of_all_kinds(tmp_path, name):
 
 def test_parts_without_a_column_called_time_are_joined_by_what_may_be_time(tmp_path):
     time, q, _, tau = motion(("a", "b"))
-    for k in (0, 1):
-        columns = [np.rint(1e3 * time) + 250 * k, q[:, k], tau[:, k]]
-        write(tmp_path / f"{k}.csv", ["ms", f"q_{k}", f"tau_{k}"], columns)
-    log = read_log(f"{tmp_path}/0.csv+{tmp_path}/1.csv", joints=("a", "b"))
+
+    def read(*starts):
+        paths = [tmp_path / f"{k}.csv" for k in (0, 1)]
+        for k, (path, start) in enumerate(zip(paths, starts, strict=True)):
+            write(
+                path, ["ms", f"q_{k}", f"tau_{k}"], [np.rint(1e3 * time) + start, q.T[k], tau.T[k]]
+            )
+        return read_log("+".join(map(str, paths)), joints=("a", "b"))
+
+    log = read(0, 250)
     there = np.isfinite(log.position).all(axis=1)
     expected = np.interp(log.time - 0.25, time, q[:, 1])
     assert np.count_nonzero(there) > ROWS // 4
     np.testing.assert_allclose(log.position[there, 1], expected[there], atol=1e-9)
-    write(tmp_path / "1.csv", ["ms", "q_1", "tau_1"], [np.rint(1e3 * time), q[:, 1], tau[:, 1]])
-    log = read_log(f"{tmp_path}/0.csv+{tmp_path}/1.csv", joints=("a", "b"))
-    check(log, ("a", "b"), q, None, tau)
+    check(read(0, 0), ("a", "b"), q, None, tau)
 
 
 @pytest.mark.parametrize("form", ["joint_{}_{}", "{1}_{0}", "Joint{}.{}"])
-def test_roman_numerals_count_joints(tmp_path, form):
+def test_roman_numerals_count_joints(read_table, form):
     time, q, v, tau = motion(UR)
     roman = ["I", "II", "III", "IV", "V", "VI"]
-    words = [("pos", q), ("vel", v), ("torque", tau)]
-    names = ["time", *(form.format(number, word) for word, _ in words for number in roman)]
-    path = write(tmp_path / "log.csv", names, [time, *(x for _, x in words)])
-    check(read_log(path, joints=UR), UR, q, v, tau)
+    names = [form.format(number, w) for w in ("pos", "vel", "torque") for number in roman]
+    columns = named(["time", *names], time, q, v, tau)
+    check(read_table(columns, UR), UR, q, v, tau)
     own = tuple(f"joint_{number}" for number in roman)
-    check(read_log(path), own, q, v, tau)
+    check(read_table(columns), own, q, v, tau)
     turned = own[::-1]
-    check(read_log(path, joints=turned), turned, q[:, ::-1], v[:, ::-1], tau[:, ::-1])
+    check(read_table(columns, turned), turned, q[:, ::-1], v[:, ::-1], tau[:, ::-1])
 
 
 @pytest.mark.parametrize("other", ["target_pos_{}", "motor_pos_{}"])
-def test_a_joint_that_nobody_measured_is_not_taken_from_its_target(tmp_path, other):
+def test_a_joint_that_nobody_measured_is_not_taken_from_its_target(read_table, other):
     time, q, _, tau = motion(IIWA)
-    columns = {f"{joint}.angle": x for joint, x in zip(IIWA[:-1], q.T, strict=False)}
-    columns |= {f"{joint}.torque": x for joint, x in zip(IIWA[:-1], tau.T, strict=False)}
-    columns |= {other.format(k): x + 1.0 for k, x in enumerate(q.T, 1)}
-    path = tmp_path / "log.csv"
-    pandas.DataFrame({"time": time, **columns}).to_csv(path, index=False)
+    names = [f"{joint}.{what}" for what in ("angle", "torque") for joint in IIWA[:-1]]
+    columns = {"time": time, **named(names, q[:, :-1], tau[:, :-1])}
+    columns |= named([other.format(k) for k in range(1, 8)], q + 1.0)
     with pytest.raises(LogError, match=IIWA[-1]):
-        read_log(path, joints=IIWA)
-    log = read_log(path, joints=IIWA, partial=True)
+        read_table(columns, IIWA)
+    log = read_table(columns, IIWA, partial=True)
     check(log, IIWA[:-1], q[:, :-1], None, tau[:, :-1])
 
 
-def test_a_position_that_may_be_a_target_is_named_beside_measured_ones(tmp_path):
+def test_a_position_that_may_be_a_target_is_named_beside_measured_ones(read_table):
     time, q, _, tau = motion(("a", "b"))
-    path = write(tmp_path / "log.csv", ["time", "q_1", "q_des_2", "tau_1", "tau_2"], [time, q, tau])
-    log = read_log(path, joints=("a", "b"))
+    log = read_table(named(["time", "q_1", "q_des_2", "tau_1", "tau_2"], time, q, tau), ("a", "b"))
     assert "position: by their names, q_des_2 may not be measured at the joints" in log.notes
 
 
@@ -705,101 +660,85 @@ def test_units_in_the_second_of_two_lines_of_names(tmp_path):
     above = ["Time", *(f"Axis {k}" for k in (1, 2) for _ in range(3))]
     below = ["[ms]", *("ActPos [deg]", "ActVelo [deg/s]", "ActTorque [Nm]") * 2]
     both = np.stack([np.rad2deg(q), np.rad2deg(v), tau], axis=2).reshape(ROWS, -1)
-    head = ",".join(above) + "\n"
-    path = write(tmp_path / "log.csv", below, [1e3 * time, both], head=head)
-    check(read_log(path, joints=("axis_1", "axis_2")), ("axis_1", "axis_2"), q, v, tau)
+    frame = pandas.DataFrame(np.column_stack([1e3 * time, both]))
+    frame.columns = pandas.MultiIndex.from_arrays([above, below])
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    log = read_log(tmp_path / "log.csv", joints=("axis_1", "axis_2"))
+    check(log, ("axis_1", "axis_2"), q, v, tau)
 
 
-@pytest.mark.parametrize(("names", "rows"), [("columns", "data"), ("names", "rows")])
-def test_rows_of_json_that_are_too_short_are_named(tmp_path, names, rows):
+@pytest.mark.parametrize(
+    ("names", "rows", "row", "words"),
+    [
+        ("columns", "data", [0.0, 1.0], "has 2 values, but there are 3 names"),
+        ("columns", "data", None, "is 'None', not a list"),
+        ("names", "rows", [0.0, 1.0], "has 2 values, but there are 3 names"),
+    ],
+)
+def test_rows_of_json_that_are_too_short_are_named(tmp_path, names, rows, row, words):
     time, q, _, tau = motion(("a",))
     table = np.column_stack([time, q, tau]).tolist()
-    table[5] = table[5][:-1]
+    table[5] = row
     content = {names: ["time", "q", "tau"], rows: table}
     (tmp_path / "log.json").write_text(json.dumps(content))
-    with pytest.raises(LogError, match=r"Row 6 .* has 2 values, but there are 3 names"):
+    with pytest.raises(LogError, match=f"Row 6 .* {words}"):
         read_log(tmp_path / "log.json")
-    if names == "columns":
-        table[5] = None
-        (tmp_path / "log.json").write_text(json.dumps(content))
-        with pytest.raises(LogError, match=r"Row 6 .* is 'None', not a list"):
-            read_log(tmp_path / "log.json")
 
 
-def test_lists_of_records_that_are_too_short_are_named(tmp_path):
-    time, q, _, tau = motion(("a", "b"))
-    rows = zip(time.tolist(), q.tolist(), tau.tolist(), strict=True)
-    records = [{"time": t, "q": x, "tau": y} for t, x, y in rows]
-    records[3]["q"] = []  # of which nothing was measured
-    (tmp_path / "log.json").write_text(json.dumps(records))
-    assert np.isnan(read_log(tmp_path / "log.json", joints=("a", "b")).position[3]).all()
-    records[5]["q"] = records[5]["q"][1:]  # of which joint?
-    (tmp_path / "log.json").write_text(json.dumps(records))
-    with pytest.raises(LogError, match=r"'q' .* has lists of 2 numbers, but one of 1 in row 6"):
-        read_log(tmp_path / "log.json", joints=("a", "b"))
+NUMBER, ROW = np.divmod(np.arange(ROWS), 25)
+TRIALS = {
+    "numbers": {"trial": NUMBER},
+    "words in two columns": {
+        "trial": [f"run {k}" for k in NUMBER],
+        "experiment": [f"day {k // 2}" for k in NUMBER],
+    },
+}
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
-def test_recordings_in_one_table_follow_each_other(tmp_path, suffix):
+@pytest.mark.parametrize("by", TRIALS)
+def test_recordings_in_one_table_follow_each_other(tmp_path, by, suffix):
     time, q, _, tau = motion(("a",))
-    number, row = np.divmod(np.arange(ROWS), 25)
-    columns = {"trial": number, "time": time[row], "q": q[:, 0], "tau": tau[:, 0]}
-    frame = pandas.DataFrame(columns)
-    path = tmp_path / f"log{suffix}"
+    columns = TRIALS[by] | {"time": time[ROW], "q": q[:, 0], "tau": tau[:, 0]}
+    frame, path = pandas.DataFrame(columns), tmp_path / f"log{suffix}"
     frame.to_csv(path, index=False) if suffix == ".csv" else frame.to_parquet(path)
     log = read_log(path, joints=("a",))
     np.testing.assert_allclose(log.position, q)
     assert np.count_nonzero(np.diff(log.time) > 0.5) == 7
-    assert "8 episodes, concatenated" in log.notes
-    one = read_log(path, joints=("a",), reading=Reading(episode=3))
-    np.testing.assert_allclose(one.position, q[number == 3])
-
-
-def test_recordings_by_words_in_two_columns_follow_each_other(tmp_path):
-    time, q, _, tau = motion(("a",))
-    number, row = np.divmod(np.arange(ROWS), 50)
-    words = {"trial": [f"run {k}" for k in number], "experiment": [f"day {k // 2}" for k in number]}
-    path = tmp_path / "log.csv"
-    frame = pandas.DataFrame({**words, "time": time[row], "q": q[:, 0], "tau": tau[:, 0]})
-    frame.to_csv(path, index=False)
-    log = read_log(path, joints=("a",))
-    np.testing.assert_allclose(log.position, q)
-    assert np.count_nonzero(np.diff(log.time) > 0.5) == 3
+    if by == "numbers":
+        assert "8 episodes, concatenated" in log.notes
+        one = read_log(path, joints=("a",), reading=Reading(episode=3))
+        np.testing.assert_allclose(one.position, q[NUMBER == 3])
 
 
 @pytest.mark.parametrize("unit", ["furlong", "V", "per mille of rated"])
-def test_units_that_are_not_known_are_asked_for(tmp_path, unit):
+def test_units_that_are_not_known_are_asked_for(read_table, unit):
     time, q, _, tau = motion(UR)
     names = ["t [s]", *(f"q{k} [{unit}]" for k in range(6)), *(f"tau{k} [Nm]" for k in range(6))]
-    path = write(tmp_path / "log.csv", names, [time, q, tau])
+    columns = named(names, time, q, tau)
     with pytest.raises(LogError, match=f"is in '{unit}', which is no known unit of position"):
-        read_log(path, joints=UR)
-    log = read_log(path, joints=UR, reading=Reading(units={"position": "0.5rad"}))
-    check(log, UR, 0.5 * q, None, tau)
+        read_table(columns, UR)
+    check(read_table(columns, UR, units={"position": "0.5rad"}), UR, 0.5 * q, None, tau)
 
 
 @pytest.mark.parametrize("moves", [True, False])
-def test_stamps_in_milliseconds_are_told_by_the_motion(tmp_path, moves):
+def test_stamps_in_milliseconds_are_told_by_the_motion(read_table, moves):
     time, q, v, tau = motion(PANDA, rate=1000.0)
-    names = [f"{kind}{k}" for kind in ("q", "tau", "dq")[: 2 + moves] for k in range(7)]
-    columns = [q, tau, v][: 2 + moves]
-    log = read_log(write(tmp_path / "a.csv", ["time", *names], [np.rint(1e3 * time), *columns]))
+    names = ["time", *(f"{kind}{k}" for kind in ("q", "tau", "dq")[: 2 + moves] for k in range(7))]
+    log = read_table(named(names, np.rint(1e3 * time), *[q, tau, v][: 2 + moves]))
     np.testing.assert_allclose(log.time, time, atol=1e-12)
     assert any("time is in ms, judging by 1000 Hz" in note for note in log.notes)
-    slow = [1e3 * time, q, tau, 1e-3 * v][: 3 + moves] if moves else [1e3 * time + 0.25, q, tau]
-    slow[0] = slow[0] if moves else slow[0] + 0.3 * (np.arange(ROWS) % 2)
-    log = read_log(write(tmp_path / "b.csv", ["time", *names], slow))
-    np.testing.assert_allclose(log.time, slow[0])
+    slow = 1e3 * time if moves else 1e3 * time + 0.25 + 0.3 * (np.arange(ROWS) % 2)
+    log = read_table(named(names, slow, *[q, tau, 1e-3 * v][: 2 + moves]))
+    np.testing.assert_allclose(log.time, slow)
 
 
-def test_targets_that_are_called_as_torques_may_be(tmp_path):
+def test_targets_that_are_called_as_torques_may_be(read_table):
     time, q, _, tau = motion(PANDA)
     names = ["time", *indexed("q", 7), *indexed("tq", 7)]
-    log = read_log(write(tmp_path / "torque.csv", names, [time, q, tau]))
+    log = read_table(named(names, time, q, tau))
     check(log, tuple(f"joint_{k}" for k in range(7)), q, None, tau)
-    log = read_log(write(tmp_path / "target.csv", names, [time, q, q + 0.01]))
-    np.testing.assert_allclose(log.command, q + 0.01)
-    names += indexed("i", 7)
-    log = read_log(write(tmp_path / "both.csv", names, [time, q, q + 0.01, tau]))
+    np.testing.assert_allclose(read_table(named(names, time, q, q + 0.01)).command, q + 0.01)
+    log = read_table(named([*names, *indexed("i", 7)], time, q, q + 0.01, tau))
     np.testing.assert_allclose(log.effort, tau)
     assert set(log.effort_kinds.values()) == {"current"}

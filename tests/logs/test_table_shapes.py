@@ -1,4 +1,4 @@
-"""Tables as robots write them: lists and names in cells, a row a joint, JSON, HDF5, clocks."""
+"""Tables in the shapes that robots write: lists in cells, a row for each joint, JSON, HDF5."""
 
 import json
 from pathlib import Path
@@ -35,7 +35,7 @@ REVERSED = [
     (t, [*zip(JOINTS[::-1], q, tau, strict=True)])
     for t, q, tau in zip(TIME, TURNED["q"].tolist(), TURNED["tau"].tolist(), strict=True)
 ]
-"""Time -> joints from the last to the first with position and effort."""
+"""Time, and the joints in reverse order with position and effort."""
 LIST_RECORDS = [
     dict(zip(("name", "position", "effort"), map(list, zip(*each, strict=True)), strict=True))
     | {"time": float(t)}
@@ -58,7 +58,7 @@ A_ROW_A_JOINT = pandas.DataFrame(
 
 
 def listed(table):
-    """Columns whose cells are lists where an array has several columns."""
+    """Return columns whose cells are lists where an array has several columns."""
     return {name: values.tolist() for name, values in table.items()}
 
 
@@ -121,7 +121,7 @@ def echo_of_ros1():
 
 
 def numbered(blocks, form="{}_{}", *, clock="time", first=0, separator=","):
-    """Columns of two joints for each block, behind each of which is said what it holds."""
+    """Write columns of two joints for each pair of a name and what it holds."""
     deg = np.rad2deg(POSITION)
     known = {"q": POSITION, "v": VELOCITY, "tau": EFFORT, "deg": deg, "turns": deg / 360}
     columns = {clock: TIME}
@@ -133,7 +133,7 @@ def numbered(blocks, form="{}_{}", *, clock="time", first=0, separator=","):
 
 
 def logger(clock, position, effort, joints=(1, 2), factor=1.0, *, units=""):
-    """Columns by names with a place for the joint, with a line of units or none."""
+    """Write columns by the forms of their names, with a line of units or none."""
     names = [clock, *map(position.format, joints), *map(effort.format, joints)]
     columns = PLAIN.set_axis(names, axis=1)
     columns[names[1:3]] *= factor
@@ -142,7 +142,7 @@ def logger(clock, position, effort, joints=(1, 2), factor=1.0, *, units=""):
 
 
 def odd_text(head, *, times=1, factor=1.0, fortran=False, end=""):
-    """Rows behind a head as programs of all kinds write it, in the encoding of Windows."""
+    """Write rows below a header, in the encoding of Windows."""
     mark = next((mark for mark in ";," if mark in head), "  ")
     numbers = np.repeat(PLAIN.to_numpy() * [factor, 1, 1, 1, 1], times, axis=0)
     form = "{:.17e}" if fortran else "{!r}"
@@ -154,7 +154,7 @@ def odd_text(head, *, times=1, factor=1.0, fortran=False, end=""):
 
 
 def tables_with_keys(kind, times):
-    """Lines of degrees as TwinCAT or LabVIEW writes them, of (signals, N) times."""
+    """Write degrees as TwinCAT or LabVIEW does, at (signals, N) times."""
     is_pair = "pairs" in kind
     names = [f"{what} J{k}" for what in ("Angle", "Torque") for k in (1, 2)]
     said = {"X_Value" if kind == "LabVIEW" else "Name": names, "SymbolComment": ["-"] * 4}
@@ -176,7 +176,7 @@ def tables_with_keys(kind, times):
 
 
 def echoed(*more):
-    """A document of YAML for each message of ROS, of which the last may be cut off."""
+    """Write a YAML document for each message of ROS; the last may be truncated."""
     messages = [
         f"header:\n  stamp:\n    sec: 1700000000\n    nanosec: {round(1e9 * t)}\n"
         f"  frame_id: ''\nname:\n- elbow\n- base\nposition: {q[::-1].tolist()}\n"
@@ -187,7 +187,7 @@ def echoed(*more):
 
 
 def frame_of_pandas(index):
-    """A frame in HDF5, whose index is time or its rows."""
+    """Write a frame as pandas does in HDF5, indexed by time or by row."""
     names = [*["time"] * (not index), "q0", "q1", "tau0", "tau1"]
     values = PLAIN.to_numpy()[:, index:]
     return in_hdf5({"df/axis0": np.array(names, "S"), "df/block0_items": np.array(names, "S"),
@@ -195,7 +195,7 @@ def frame_of_pandas(index):
 
 
 def records_of_motors(columns, inside=""):
-    """Records of the motors 1 and 2 at each instant, alone or in a list."""
+    """Write records of the motors 1 and 2 at each instant, alone or in a list."""
     rows = [
         [{"id": k + 1, **{n: float(x[i, k]) for n, x in columns.items()}} for k in (0, 1)]
         for i in range(ROWS)
@@ -215,13 +215,13 @@ def zipped(members):
 
 
 def under(head, *, encoding="utf-8", separator=","):
-    """Rows of the plain table under another header, in an encoding."""
+    """Write the rows of the plain table below another header."""
     rows = PLAIN.to_csv(index=False, header=False, sep=separator)
     return lambda path: path.write_bytes(f"{head}\n{rows}".encode(encoding))
 
 
 def of_octave(variables, *others):
-    """Matrices, and others, as Octave's `save` writes them."""
+    """Write matrices, and other variables, as Octave's `save` does."""
     each = (
         f"# name: {name}\n# type: matrix\n# rows: {len(x)}\n# columns: {x.shape[1]}\n"
         + "\n".join(" " + " ".join(map(repr, row)) for row in x.tolist())
@@ -246,9 +246,6 @@ SHAPES = {
     "cells.csv": table(named_cells()),
     "swapping_cells.csv": table(named_cells(swaps=True)),
     "long.csv": table(A_ROW_A_JOINT),
-    "long.parquet": A_ROW_A_JOINT.to_parquet,
-    "messages.jsonl": lambda path: records().to_json(path, orient="records", lines=True,
-        double_precision=15),
     "lines.json": lambda path: records().to_json(path, orient="records", lines=True,
         double_precision=15),
     "rows_under_names.json": text(json.dumps({"robot": "x", "header": [*PLAIN],
@@ -257,30 +254,12 @@ SHAPES = {
     "episode.hdf5": in_hdf5({**OBSERVED, "images/top": np.zeros((ROWS, 2, 2, 3), np.uint8)}),
     "one_demonstration.hdf5": in_hdf5({"data/demo_7/obs/joint_pos": POSITION,
         "data/demo_7/obs/joint_torque": EFFORT, "data/demo_7/obs/t": TIME}),
-    "own_time.json": text(json.dumps({"robot": "x", "joints": {
-        joint: listed({"t": TIME, "position": POSITION[:, k], "effort": EFFORT[:, k]})
-        for k, joint in enumerate(JOINTS)}})),
-    "own_time.mat": lambda path: savemat(path, {joint: {"t": TIME, "position": POSITION[:, k],
-        "effort": EFFORT[:, k]} for k, joint in enumerate(JOINTS)}),
-    "own_time73.mat": in_hdf5({f"{joint}/{name}": values[:, np.newaxis]
-        for k, joint in enumerate(JOINTS)
-        for name, values in (("t", TIME), ("position", POSITION[:, k]), ("effort", EFFORT[:, k]))}),
-    "own_records.json": text(json.dumps({
-        joint: [{"t": t, "position": q, "effort": e}
-            for t, q, e in zip(TIME, POSITION[:, k], EFFORT[:, k], strict=True)]
-        for k, joint in enumerate(JOINTS)})),
-    "named_parts.json": text(json.dumps([{"name": joint,
-        **listed({"t": TIME, "position": POSITION[:, k], "effort": EFFORT[:, k]})}
-        for k, joint in enumerate(JOINTS)])),
     "motors.jsonl": text("\n".join(json.dumps({"time": t, "motor_state":
         [{"q": p, "tau_est": e, "temperature": [30, 90]} for p, e in zip(q, tau, strict=True)]})
         for t, q, tau in zip(TIME, POSITION.tolist(), EFFORT.tolist(), strict=True))),
-    "names.csv": table(NAMED.rename(columns={"q": "position", "tau": "effort"})),
     "names.parquet": NAMED.to_parquet,
     "names_once.json": text(json.dumps({**listed(TURNED), "joint_names": JOINTS[::-1]})),
-    "names_once.npz": lambda path: np.savez(path, joint_names=JOINTS[::-1], **TURNED),
     "names_once.nc": in_hdf5({**TURNED, "joint": list(JOINTS[::-1])}),
-    "names_once.h5": in_hdf5({**TURNED, "joint_names": list(JOINTS[::-1])}),
     "named_motors.jsonl": text("\n".join(json.dumps({"time": t, "joints": [
         {"name": n, "position": p, "torque": e} for n, p, e in each]}) for t, each in REVERSED)),
     "message.json": text(json.dumps([{"topic": "/states", "timestamp": each["time"], "message":
@@ -313,10 +292,6 @@ SHAPES = {
             for n, p, e in each) for t, each in REVERSED)),
     "simulink.mat": lambda path: savemat(path, {n: {"time": TIME[:, None], "signals": {"values": x,
         "label": label}} for n, x, label in (("q", POSITION, ""), ("tau", EFFORT, "tau"))}),
-    "titles.xlsx": lambda path: pandas.DataFrame([["Test 12", "Robot A", *[None] * 3], [None] * 5,
-        ["Time", *(f"J{k} {q}" for q in ("Pos", "Trq") for k in (1, 2))], ["ms", *["°"] * 2,
-        *["Nm"] * 2], *np.column_stack([1e3 * TIME, np.rad2deg(POSITION), EFFORT]).tolist()])
-        .to_excel(path, header=False, index=False),
     "units_of_levels.csv": text("Time,Joint 1,,Joint 2,\nms,Position,Torque,Position,Torque\n"
         + pandas.DataFrame(np.column_stack([1e3 * TIME, POSITION, EFFORT])[:, [0, 1, 3, 2, 4]])
         .to_csv(index=False, header=False)),
@@ -326,27 +301,13 @@ SHAPES = {
     "console.log": text("\n".join(f"[INFO] [{1.7e9 + t:.9f}] [arm]: q: {a!r} {b!r} | tau: {c!r} "
         f"{d!r}"
         for t, (a, b), (c, d) in zip(TIME, POSITION.tolist(), EFFORT.tolist(), strict=True))),
-    "pounds.csv": table(pandas.DataFrame({"t": TIME, **{f"J{k + 1} Position (deg)":
-        np.rad2deg(POSITION[:, k]) for k in (0, 1)}, **{f"J{k + 1} Torque (lb-in)":
-        EFFORT[:, k] / 0.1129848290276167 for k in (0, 1)}})),
-    "small_units.csv": table(PLAIN.set_axis(["t", "j1_q_rad", "j2_q_rad", "j1_tau_nm", "j2_tau_nm"],
-        axis=1)),
     "lists_by_names.json": text(json.dumps({"time": TIME.tolist(), "joints": [
         {"name": n, **listed({"position": POSITION[:, k], "effort": EFFORT[:, k]})}
         for k, n in [*enumerate(JOINTS)][::-1]]})),
     "names_again.csv": table(PLAIN.set_axis(["t", "pos", "pos", "torque", "torque"], axis=1)),
     "names_of_pandas.csv": table(PLAIN.set_axis(["t", "pos", "pos.1", "trq", "trq.1"], axis=1)),
-    "chinese.csv": table(PLAIN.set_axis(["时间", *(f"关节{k}{q}" for q in ("位置", "力矩")
-        for k in (1, 2))], axis=1)),
-    "french.csv": table(PLAIN.set_axis(["temps", "position_1", "position_2", "couple_1",
-        "couple_2"], axis=1)),
-    "camels.csv": table(pandas.DataFrame({"TimeMs": 1e3 * TIME, **{f"joint{k + 1}PosDeg":
-        np.rad2deg(POSITION[:, k]) for k in (0, 1)}, **{f"joint{k + 1}TorqueNm": EFFORT[:, k]
-        for k in (0, 1)}})),
     "raw.csv": table(pandas.DataFrame({"t": TIME, "q_raw_1": TIME, "q_raw_2": TIME}).join(
         PLAIN.set_axis(["_", "q_filt_1", "q_filt_2", "tau_filt_1", "tau_filt_2"], axis=1))),
-    "clock.csv": times("%H:%M:%S.%f"),
-    "noon.csv": times("%d/%m/%Y %I:%M:%S.%f %p"),
     "half_day.csv": times("%I:%M:%S.%f %p"),
     "colons.csv": table(PLAIN.assign(time=[f"{m:%H:%M:%S}:{m.microsecond // 1000:03}"
         for m in MOMENTS])),
@@ -377,9 +338,7 @@ SHAPES = {
         for row in PLAIN.to_numpy().tolist())),
     "utf16.txt": lambda path: path.write_text(PLAIN.to_csv(index=False, sep="\t"), "utf-16"),
     "footer.csv": text(PLAIN.to_csv(index=False) + "\nrows: 60\nend\n"),
-    "rate.npz": lambda path: np.savez(path, q=POSITION, tau=EFFORT, fs=100),
     "rate.mat": lambda path: savemat(path, {"run": {"q": POSITION, "tau": EFFORT, "Ts": 0.01}}),
-    "rate.h5": in_hdf5({"a/q": POSITION, "a/tau": EFFORT, "a/dt": 0.01}),
     "rate73.mat": in_hdf5({"q": POSITION.T, "tau": EFFORT.T, "fs": [[100.0]]}),
     "split_alone.json": text(json.dumps({"columns": [*PLAIN], "data": PLAIN.to_numpy().tolist()})),
     "identity.csv": table(A_ROW_A_JOINT.rename(columns={"joint": "id"})
@@ -418,8 +377,6 @@ SHAPES = {
     "iiwa_lcm.csv": numbered("joint_position_measured q joint_position_commanded q+1 "
         "joint_position_ipo q+1 joint_torque_measured tau joint_torque_commanded tau+1 "
         "joint_torque_external tau+1", "{}[{}]", clock="Time", separator="\t"),
-    "Sunrise.csv": numbered("axisQMsr q axisTauMsr tau axisTauExtMsr tau+1",
-        "{}_LBR_iiwa_7_R800_1[{}]", clock="Time", separator="\t"),
     "moteus.csv": numbered("position turns torque tau mode 0 fault 0 q_current 0 d_current 0",
         "{1}.{0}", first=1),
     "moteus_ids.csv": numbered("position turns torque tau mode 0 fault 0 q_current 0 d_current 0",
@@ -570,22 +527,18 @@ SHAPES = {
         "axisTauMsr[1]"], axis=1), sep=" "),
     "root.npz": lambda path: np.savez(path, t=TIME, joint_names=np.array(JOINTS), torque=EFFORT,
         joint_pos=POSITION, root_pos=np.zeros((ROWS, 3))),
-    "spare_motors.jsonl": text("\n".join(json.dumps({"time": t, "motor_state": [
-        {"q": q, "tau_est": tau} for q, tau in (*zip(place, effort, strict=True), (0, 0), (0, 0))]})
-        for t, place, effort in zip(*(x.tolist() for x in (TIME, POSITION, EFFORT)), strict=True))),
     "saved_by_Octave.txt": of_octave({"t": TIME[:, None], "q": POSITION, "tau": EFFORT}),
     "of_Octave_at_a_rate.txt": of_octave({"q": POSITION, "Ts": np.array([[0.01]]), "tau": EFFORT}),
     "a_range_of_Octave.txt": of_octave({"q": POSITION, "tau": EFFORT}, "# name: t\n"
         f"# type: double_range\n# base, limit, increment\n0 {TIME[-1]} 0.01"),
-    "lists.yaml": text(yaml.safe_dump(LIST_RECORDS)),
     "inside.yaml": text(yaml.safe_dump({"samples": LIST_RECORDS})),
     "records.yaml": text(yaml.safe_dump([{"time": float(t), "joints": {n: {"position": p,
         "effort": e} for n, p, e in each}} for t, each in REVERSED])),
 }  # fmt: skip
-"""A file of each shape, and what writes it."""
+"""Name of a file -> a function that writes it."""
 MOVING = ("RTDE.csv", "libfranka.csv", "no_moteus.csv", "matrices.npz", "of_UR_primary.jsonl",
     "states.csv", "states_in_turn.npz")  # fmt: skip
-"""Those that have velocities."""
+"""Files with velocities."""
 CURRENTS = ("RTDE.csv", "KUKA 1.csv", "ODrive.csv", "Elmo.csv")
 SAYING = {
     "RTDE.csv": ("actual_q_0 … actual_q_1 used", "target_q_0", "desired", "model's order"),
@@ -593,18 +546,12 @@ SAYING = {
     "twice.csv": ("repeated time stamp",),
     "no_moteus.csv": ("columns ignored: mode",),
 }
-"""What notes say of some."""
+"""Words in the notes on some of them."""
 
 
 def written(folder, name):
     SHAPES[name](folder / name)
     return folder / name
-
-
-def csv_of(folder, columns):
-    """A CSV of columns by name."""
-    pandas.DataFrame(columns).to_csv(folder / "log.csv", index=False)
-    return folder / "log.csv"
 
 
 @pytest.mark.parametrize("name", SHAPES)
@@ -628,11 +575,10 @@ def test_a_table_of_any_shape_is_the_same_log(tmp_path, name):
     "names",
     ["x1 x2 x3 x4 u", "x theta x_dot theta_dot u", "x theta1 x_dot theta1_dot F"],
 )
-def test_states_of_a_cart_with_a_pole_are_of_its_joints(tmp_path, names):
+def test_states_of_a_cart_with_a_pole_are_of_its_joints(read_table, names):
     values = np.column_stack([POSITION, VELOCITY, EFFORT[:, 0]]).T
-    path = csv_of(tmp_path, {"t": TIME, **dict(zip(names.split(), values, strict=True))})
-    reading = Reading(sliding=frozenset(["base"]), motorless=frozenset(["elbow"]))
-    log = read_log(path, joints=JOINTS, reading=reading)
+    columns = {"t": TIME, **dict(zip(names.split(), values, strict=True))}
+    log = read_table(columns, JOINTS, sliding=frozenset(["base"]), motorless=frozenset(["elbow"]))
     np.testing.assert_allclose(log.position, POSITION, atol=1e-12)
     np.testing.assert_allclose(log.velocity, VELOCITY, atol=1e-12)
     np.testing.assert_allclose(log.effort[:, 0], EFFORT[:, 0], atol=1e-12)
@@ -640,10 +586,15 @@ def test_states_of_a_cart_with_a_pole_are_of_its_joints(tmp_path, names):
 
 def test_a_last_row_that_is_cut_off_is_left_out(tmp_path):
     frame = pandas.concat([PLAIN] * 3).assign(time=0.01 * np.arange(3 * ROWS))
-    (tmp_path / "cut.csv").write_text(frame.to_csv(index=False) + "end of log\n")
-    log = read_log(tmp_path / "cut.csv")
-    assert len(log) == 3 * ROWS
-    assert any("are corrupt and skipped:" in note for note in log.notes)
+    records = "\n".join(map(json.dumps, LIST_RECORDS))
+    for name, content, rows, words in (
+        ("log.csv", frame.to_csv(index=False) + "end of log\n", 180, "corrupt and skipped:"),
+        ("log.jsonl", f'{records}\n{{"time": 9.0, "q', 60, 'cut off and not used: \'{"time": 9.0'),
+    ):
+        (tmp_path / name).write_text(content)
+        log = read_log(tmp_path / name)
+        assert len(log) == rows
+        assert words in " ".join(log.notes)
 
 
 def message(each, topic=None, joints=None, scale=1.0, since=0.0):
@@ -660,11 +611,9 @@ def test_messages_of_several_topics_and_publishers_in_one_file(tmp_path):
         path.write_text("\n".join(map(json.dumps, messages)))
         return read_log(path, joints=JOINTS, reading=Reading(**how))
 
-    fingers = [f"finger_{k}" for k in range(len(JOINTS))]
-    both = [
-        each for r in LIST_RECORDS for each in (message(r), message(r, None, fingers, 0.1, 0.001))
-    ]
     plain = read(message(r) for r in LIST_RECORDS)
+    fingers = {"joints": ["finger_0", "finger_1"], "scale": 0.1, "since": 0.001}
+    both = [each for r in LIST_RECORDS for each in (message(r), message(r, **fingers))]
     np.testing.assert_allclose(read(both).position, plain.position)
     arms = {"/left/joint_states": 1.0, "/right/joint_states": 0.5}
     both = [message(r, topic, None, scale) for r in LIST_RECORDS for topic, scale in arms.items()]
@@ -674,29 +623,9 @@ def test_messages_of_several_topics_and_publishers_in_one_file(tmp_path):
         log = read(both, topic=topic)
         np.testing.assert_allclose(log.position, scale * plain.position)
         np.testing.assert_allclose(log.effort, scale * plain.effort)
-    beside = [{"topic": "/imu", "log_time": r["time"], "data": {"x": 1.0}} for r in LIST_RECORDS]
-    log = read(
-        [x for r, b in zip(LIST_RECORDS, beside, strict=True) for x in (message(r, "/q"), b)]
-    )
-    np.testing.assert_allclose(log.position, plain.position)
-
-
-def test_dates_beside_names_of_joints_are_no_positions(tmp_path):
-    path = tmp_path / "log.jsonl"
-    more = {"name": [*JOINTS], "q": 1.0, "tau": 1.0}
-    path.write_text("\n".join(json.dumps({"position[0]": str(t), **more}) for t in MOMENTS))
-    with pytest.raises(LogError, match=r"'position\[0\]'.* as the position of .*, but has dates"):
-        read_log(path)
-
-
-def test_a_last_record_that_is_cut_off_is_left_out(tmp_path):
-    path = tmp_path / "log.jsonl"
-    path.write_text(
-        "\n".join(json.dumps(each) for each in LIST_RECORDS) + '\n{"time": 9.0, "position": [0.1'
-    )
-    log = read_log(path, joints=JOINTS)
-    assert len(log) == len(LIST_RECORDS)
-    assert any('the last record is cut off and not used: \'{"time": 9.0' in n for n in log.notes)
+    imu = {"topic": "/imu", "data": {"x": 1.0}}
+    beside = [x for r in LIST_RECORDS for x in (message(r, "/q"), {"log_time": r["time"], **imu})]
+    np.testing.assert_allclose(read(beside).position, plain.position)
 
 
 def test_names_of_joints_that_are_pickled_are_not_left_out_silently(tmp_path):
@@ -707,31 +636,30 @@ def test_names_of_joints_that_are_pickled_are_not_left_out_silently(tmp_path):
 
 
 @pytest.mark.parametrize("many", [False, True])
-def test_words_for_nothing(tmp_path, monkeypatch, many):
+def test_words_for_nothing(read_table, monkeypatch, many):
     monkeypatch.setattr(text_file, "_MANY", 20 if many else 10**6)
     effort = EFFORT.copy()
     effort[0, 0] = effort[30, 1] = np.nan
     for word in ("NA", "N/A", "null", "None", "-", "---", "?", "missing", "#N/A", "NaN", "1.#QNAN"):
         frame = PLAIN.astype(object)
         frame.iloc[0, 3] = frame.iloc[30, 4] = word
-        np.testing.assert_allclose(read_log(csv_of(tmp_path, frame)).effort, effort)
+        np.testing.assert_allclose(read_table(frame).effort, effort)
 
 
 def test_a_log_without_a_model_has_the_joints_that_its_cells_name(tmp_path):
-    for name in ("cells.csv", "long.csv", "messages.jsonl"):
+    for name in ("cells.csv", "long.csv", "lines.json"):
         assert set(read_log(written(tmp_path, name)).joints) == set(JOINTS)
 
 
 @pytest.mark.parametrize("first", [0.0, 5.0])  # s at which the second joint begins
-def test_one_joint_after_the_other_is_no_row_a_joint(tmp_path, first):
-    """Of joints that move one at a time, nobody knows where the others stand."""
+def test_one_joint_after_the_other_is_no_row_a_joint(read_table, first):
+    """Where the other joint is meanwhile is unknown."""
     base, elbow = (A_ROW_A_JOINT[k::2] for k in (0, 1))
-    apart = pandas.concat([base, elbow.assign(time=elbow["time"] + first)[:-15]])
     with pytest.raises(LogError, match=r"the joints in 'joint' follow each other in time"):
-        read_log(csv_of(tmp_path, apart))
+        read_table(pandas.concat([base, elbow.assign(time=elbow["time"] + first)[:-15]]))
     # Together, each with stamps of its own.
-    path = csv_of(tmp_path, pandas.concat([base, elbow.assign(time=elbow["time"] + 1e-7)]))
-    np.testing.assert_allclose(read_log(path, joints=JOINTS).effort, EFFORT, atol=1e-6)
+    log = read_table(pandas.concat([base, elbow.assign(time=elbow["time"] + 1e-7)]), JOINTS)
+    np.testing.assert_allclose(log.effort, EFFORT, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -747,29 +675,33 @@ def test_cells_without_a_name_are_said(tmp_path, name, old, new, row):
 
 
 @pytest.mark.parametrize("without", [{"elbow"}, {*JOINTS}])
-def test_a_joint_without_time_is_said(tmp_path, without):
-    """Without a warning of NumPy's, which tests take for an error."""
+def test_a_joint_without_time_is_said(read_table, without):
     frame = A_ROW_A_JOINT.copy()
     frame.loc[frame["joint"].isin(without), "time"] = np.nan
     with pytest.raises(LogError, match="has empty cells of time only"):
-        read_log(csv_of(tmp_path, frame.sort_values("joint", kind="stable")))
+        read_table(frame.sort_values("joint", kind="stable"))
 
 
-@pytest.mark.parametrize("kind", ["json", "parquet"])
+@pytest.mark.parametrize("kind", ["json", "records", "parquet"])
 def test_lists_that_are_missing_in_some_rows(tmp_path, kind):
-    content, path = listed(LISTS), tmp_path / f"log.{kind}"
-    content["tau"][5], content["q"][7][1] = None, None
-    if kind == "json":
-        path.write_text(json.dumps({**content, "limits": [1, 2], "gains": [3, 4]}))
+    content, path = listed(LISTS), tmp_path / f"log.{kind.replace('records', 'json')}"
+    content["tau"][5] = [] if kind == "records" else None
+    if kind == "records":
+        rows = zip(*content.values(), strict=True)
+        path.write_text(json.dumps([dict(zip(content, row, strict=True)) for row in rows]))
     else:
-        pandas.DataFrame(content).to_parquet(path)
+        content["q"][7][1] = None
+        if kind == "json":
+            path.write_text(json.dumps({**content, "limits": [1, 2], "gains": [3, 4]}))
+        else:
+            pandas.DataFrame(content).to_parquet(path)
     log = read_log(path)
     assert np.isnan(log.effort[5]).all()
-    assert np.isnan(log.position[7, 1])
+    assert np.isnan(log.position[7, 1]) == (kind != "records")
     np.testing.assert_array_equal(np.delete(log.effort, 5, 0), np.delete(EFFORT, 5, 0))
 
 
-def test_lists_of_another_length(tmp_path):
+def test_lists_of_another_length(tmp_path, read_table):
     content = listed(LISTS)
     content["tau"][5] = [1.0]
     (tmp_path / "log.json").write_text(json.dumps(content))
@@ -778,36 +710,35 @@ def test_lists_of_another_length(tmp_path):
     cells = IN_CELLS.astype(object)
     cells.loc[19, "positions"] = "[1.0]"
     with pytest.raises(LogError, match=r"Row 20, column 'positions'.*not a list of 2 numbers"):
-        read_log(csv_of(tmp_path, cells))
+        read_table(cells)
 
 
-def test_joints_that_the_model_lacks_are_left_out_and_named(tmp_path):
-    more = {f"gripper.{q}": PLAIN[f"base.{q}"] for q in ("position", "effort")}
-    path = csv_of(tmp_path, PLAIN.assign(**more))
-    log = read_log(path, joints=JOINTS)
+def test_joints_that_the_model_lacks_are_left_out_and_named(read_table):
+    columns = PLAIN.assign(**{f"gripper.{q}": PLAIN[f"base.{q}"] for q in ("position", "effort")})
+    log = read_table(columns, JOINTS)
     assert log.joints == JOINTS
     assert log.left_out == ("gripper",)
     with pytest.raises(LogError, match="has joint 'elbow', but"):  # misspelled, not one joint more
-        read_log(path, joints=("base", "elbows", "gripper"), partial=True)
+        read_table(columns, ("base", "elbows", "gripper"), partial=True)
 
 
-def test_numbers_of_other_joints_than_the_model_has_are_told_and_drafted_in_order(tmp_path):
+def test_numbers_of_other_joints_than_the_model_has_are_told_and_drafted_in_order(read_table):
     each = (("q", POSITION), ("tau", EFFORT))
     own = {f"{name}{k}": x[:, k % 2] for k in range(3) for name, x in each}
     words = "has 3 joints by numbers, but the model has 2: base, elbow"
     with pytest.raises(LogError, match=words) as caught:
-        read_log(csv_of(tmp_path, {"time": TIME, **own}), joints=JOINTS)
+        read_table({"time": TIME, **own}, JOINTS)
     proposal = caught.value.evidence["proposal"]
     assert "base:\n    position: q0" in proposal and "elbow:\n    position: q1" in proposal
 
 
-def csv_at(folder, time, position=POSITION[:, 0], effort=EFFORT[:, 0], name="time"):
-    return csv_of(folder, {name: time, "a.position": position, "a.effort": effort})
+def joint_a(time, position=POSITION[:, 0], effort=EFFORT[:, 0], name="time"):
+    """Return the columns of one joint."""
+    return {name: time, "a.position": position, "a.effort": effort}
 
 
-def test_a_clock_that_was_set_back_leaves_a_gap(tmp_path):
-    time = TIME - 0.15 * (np.arange(ROWS) >= 30)
-    log = read_log(csv_at(tmp_path, time))
+def test_a_clock_that_was_set_back_leaves_a_gap(read_table):
+    log = read_table(joint_a(TIME - 0.15 * (np.arange(ROWS) >= 30)))
     steps = np.diff(log.time)
     assert np.all(steps > 0)
     assert steps[29] == pytest.approx(1.0)
@@ -816,39 +747,39 @@ def test_a_clock_that_was_set_back_leaves_a_gap(tmp_path):
 
 
 @pytest.mark.parametrize(("bits", "unit", "times"), [(16, "ms", 1), (32, "us", 1), (16, "us", 9)])
-def test_a_counter_of_time_that_begins_anew_goes_on(tmp_path, bits, unit, times):
+def test_a_counter_of_time_that_begins_anew_goes_on(read_table, bits, unit, times):
     end, time = 2.0**bits, np.arange(1000 * times) * 1e-3 * (0.59 if times > 1 else 10.0)
     stamps = np.mod(end - 5000 + np.rint(time / {"ms": 1e-3, "us": 1e-6}[unit]), end)
-    log = read_log(csv_at(tmp_path, stamps, np.sin(time), np.cos(time), f"t_{unit}"))
+    log = read_table(joint_a(stamps, np.sin(time), np.cos(time), f"t_{unit}"))
     np.testing.assert_allclose(log.time - log.time[0], time, atol=1e-6)
     assert any("the time counter restarts after" in note for note in log.notes)
 
 
 @pytest.mark.parametrize("form", ["%H%M%S.%f", "%H%M%S%f"])
-def test_digits_of_a_clock_are_no_seconds(tmp_path, form):
+def test_digits_of_a_clock_are_no_seconds(read_table, form):
     time = 0.02 * np.arange(400)
     moments = pandas.Timestamp("2026-05-01 09:59:55") + pandas.to_timedelta(time, unit="s")
     stamps = [float(text[: len(text) - 3]) for text in moments.strftime(form)]
-    log = log_at(tmp_path, stamps, time)
+    log = read_table(moving(stamps, time))
     np.testing.assert_allclose(log.time - log.time[0], time, atol=1e-6)
     assert any("has the digits of a clock" in note for note in log.notes)
 
 
-def log_at(folder, stamps, time):
-    position = np.sin(3 * time) + 0.1 * np.cos(7 * time)
-    return read_log(csv_at(folder, stamps, position, np.cos(time)))
+def moving(stamps, time):
+    """Return the columns of a joint that moves by `time`."""
+    return joint_a(stamps, np.sin(3 * time) + 0.1 * np.cos(7 * time), np.cos(time))
 
 
 @pytest.mark.parametrize("together", [2, 10])
 @pytest.mark.parametrize("apart", [0.0, 1e-4])
 @pytest.mark.parametrize("lost", [0.0, 0.03])
-def test_rows_that_were_stamped_on_arrival(tmp_path, together, apart, lost):
+def test_rows_that_were_stamped_on_arrival(read_table, together, apart, lost):
     random, row = np.random.default_rng(together), np.arange(3000)
     row = row[random.random(len(row)) >= lost]
     time, place = 0.01 * row, np.arange(len(row))
     burst = place // together * together
     stamps = time[np.minimum(burst + together - 1, len(row) - 1)] + apart * (place - burst)
-    log = log_at(tmp_path, stamps, time)
+    log = read_table(moving(stamps, time))
     assert any("were stamped on arrival" in note for note in log.notes)
     steps = np.diff(log.time)
     assert len(log) == len(row) and (steps > 0).all()
@@ -856,37 +787,34 @@ def test_rows_that_were_stamped_on_arrival(tmp_path, together, apart, lost):
     assert np.abs(late[100:-100] - np.median(late)).max() < (0.02 if lost else 0.002)
 
 
-def test_a_joint_without_a_number_says_nothing_of_the_order_of_rows(tmp_path):
-    """Nor does it keep others from saying it, or raise a warning of NumPy's."""
+def test_a_joint_without_a_number_says_nothing_of_the_order_of_rows(read_table):
+    """Nor does it hide what other joints say, or raise a warning of NumPy's."""
     time = 0.01 * np.arange(3000)
     empty = {"b.position": np.full_like(time, np.nan), "b.effort": time}
-    columns = {"time": time[4::5].repeat(5), "a.position": np.sin(3 * time), "a.effort": time}
-    log = read_log(csv_of(tmp_path, columns | empty))
+    log = read_table(joint_a(time[4::5].repeat(5), np.sin(3 * time), time) | empty)
     assert any("were stamped on arrival" in note for note in log.notes)
     order = np.random.default_rng(0).permutation(3000)
-    shuffled = {"time": time[order], "a.position": empty["b.position"], "a.effort": time[order]}
     with pytest.raises(LogError, match="runs backwards"):
-        read_log(csv_of(tmp_path, shuffled))
+        read_table(joint_a(time[order], empty["b.position"], time[order]))
 
 
-def test_rows_at_irregular_instants_keep_their_stamps(tmp_path):
+def test_rows_at_irregular_instants_keep_their_stamps(read_table):
     time = np.cumsum(np.random.default_rng(0).exponential(0.01, 3000)).round(9)
-    log = log_at(tmp_path, time, time)
+    log = read_table(moving(time, time))
     np.testing.assert_array_equal(log.time, time)
     assert not any("arrival" in note for note in log.notes)
 
 
-def test_rows_of_another_time_are_no_clock_set_back(tmp_path):
-    time = TIME - 0.25 * (np.abs(np.arange(ROWS) - 37) < 8)
+def test_rows_of_another_time_are_no_clock_set_back(read_table):
     with pytest.raises(LogError, match="runs backwards"):
-        read_log(csv_at(tmp_path, time))
+        read_table(joint_a(TIME - 0.25 * (np.abs(np.arange(ROWS) - 37) < 8)))
 
 
 @pytest.mark.parametrize("odd", ["none", "empty cell", "cut off", "text", "one cell more"])
 def test_many_lines_are_read_by_arrow_as_without_it(tmp_path, monkeypatch, odd):
     random = np.random.default_rng(0).normal(size=(ROWS, 3)) * 10.0 ** np.arange(-9, 9, 6)
-    path = csv_at(tmp_path, TIME, *random[:, :2].T)
-    lines, row = path.read_text().splitlines(), 51
+    lines = pandas.DataFrame(joint_a(TIME, *random[:, :2].T)).to_csv(index=False).splitlines()
+    path, row = tmp_path / "log.csv", 51
     lines[row] = {
         "none": lines[row],
         "empty cell": lines[row].rpartition(",")[0] + ",",
@@ -957,12 +885,12 @@ def test_files_that_are_none_of_their_kind(tmp_path, name, content, words):
         read_log(tmp_path / name)
 
 
-def test_rows_with_some_of_the_columns_are_brought_together(tmp_path):
+def test_rows_with_some_of_the_columns_are_brought_together(read_table):
     """Positions and efforts of two tables that an outer join made one."""
     early, late = np.arange(400) * 0.01, np.arange(200) * 0.02 + 0.003
     moved = pandas.DataFrame({"time": early, "a.position": np.sin(2.0 * early)})
     heard = pandas.DataFrame({"time": late, "a.effort": np.cos(late)})
-    log = read_log(csv_of(tmp_path, moved.merge(heard, on="time", how="outer")))
+    log = read_table(moved.merge(heard, on="time", how="outer"))
     np.testing.assert_array_equal(log.time, late)
     np.testing.assert_array_equal(log.effort[:, 0], np.cos(late))
     np.testing.assert_allclose(log.position[:, 0], np.sin(2.0 * late), atol=1e-4)
@@ -970,17 +898,17 @@ def test_rows_with_some_of_the_columns_are_brought_together(tmp_path):
 
 
 @pytest.mark.parametrize("late", [0.1, 1.0])
-def test_rows_out_of_order_are_sorted_where_that_makes_positions_smooth(tmp_path, late):
+def test_rows_out_of_order_are_sorted_where_that_makes_positions_smooth(read_table, late):
     """A tenth of them came one row late, or all in any order."""
     rng, time = np.random.default_rng(3), np.arange(400) * 0.01
     late_by = 1.5 if late < 1.0 else rng.random(400) * 400.0
     order = np.argsort(np.arange(400) + late_by * (rng.random(400) < late), kind="stable")
     position, effort = np.sin(3.0 * time), np.cos(time)
-    log = read_log(csv_at(tmp_path, time[order], position[order], effort[order]))
+    log = read_table(joint_a(time[order], position[order], effort[order]))
     np.testing.assert_allclose(log.position[:, 0], position, atol=1e-9)
     assert "rows were sorted by time" in log.notes
     with pytest.raises(LogError, match="backwards"):  # time alone is damaged
-        read_log(csv_at(tmp_path, time[order], position, effort))
+        read_table(joint_a(time[order], position, effort))
 
 
 def test_files_of_a_joint_each_are_named_after_them(tmp_path):
@@ -988,21 +916,26 @@ def test_files_of_a_joint_each_are_named_after_them(tmp_path):
         columns = {"time": TIME, "position": POSITION[:, k], "effort": EFFORT[:, k]}
         pandas.DataFrame(columns).to_csv(tmp_path / f"run 3 {joint}.csv", index=False)
     path = "+".join(str(tmp_path / f"run 3 {joint}.csv") for joint in JOINTS[::-1])
-    log = read_log(path, joints=JOINTS)
-    np.testing.assert_allclose(log.position, POSITION, atol=1e-12)
-    np.testing.assert_allclose(log.effort, EFFORT, atol=1e-12)
+    mapping = mapping_of({j: (f"run 3 {j}.position", f"run 3 {j}.effort") for j in JOINTS})
+    for reading in (Reading(), Reading(mapping=mapping)):
+        log = read_log(path, joints=JOINTS, reading=reading)
+        np.testing.assert_allclose(log.position, POSITION, atol=1e-12)
+        np.testing.assert_allclose(log.effort, EFFORT, atol=1e-12)
     assert read_log(path).joints == ("run 3 elbow", "run 3 base")
-    columns = {
-        j: {q: MappedColumn(f"run 3 {j}.{q}") for q in ("position", "effort")} for j in JOINTS
-    }
-    mapping = ColumnMapping(columns, MappedColumn("time"))
-    again = read_log(path, joints=JOINTS, reading=Reading(mapping=mapping))
-    np.testing.assert_allclose(again.effort, EFFORT, atol=1e-12)
     alone = read_log(tmp_path / "run 3 elbow.csv", joints=JOINTS, partial=True)
     assert alone.joints == ("elbow",)
     (tmp_path / "run 3 elbow.csv").rename(tmp_path / "run.csv")
     with pytest.raises(LogError, match=r"of one joint without its name.*base\.csv\+elbow\.csv"):
         read_log(tmp_path / "run.csv", joints=JOINTS, partial=True)
+
+
+def mapping_of(joints, time="time"):
+    """Return a mapping of the columns of positions and efforts by joint."""
+    columns = {
+        joint: {"position": MappedColumn(position), "effort": MappedColumn(effort)}
+        for joint, (position, effort) in joints.items()
+    }
+    return ColumnMapping(columns, MappedColumn(time))
 
 
 def test_a_row_of_measurements_and_words_is_no_header(tmp_path):
@@ -1015,10 +948,10 @@ def test_a_row_of_measurements_and_words_is_no_header(tmp_path):
     np.testing.assert_allclose(log.effort, EFFORT, atol=1e-12)
 
 
-def test_efforts_in_percent_are_no_newton_metres(tmp_path):
-    columns = {f"Torque {k} (%)": 10.0 * EFFORT[:, k] for k in (0, 1)}
-    log = read_log(csv_of(tmp_path, {"time": TIME, "q0": POSITION[:, 0], "q1": POSITION[:, 1],
-        **columns}))  # fmt: skip
+def test_efforts_in_percent_are_no_newton_metres(read_table):
+    positions = {f"q{k}": POSITION[:, k] for k in (0, 1)}
+    efforts = {f"Torque {k} (%)": 10.0 * EFFORT[:, k] for k in (0, 1)}
+    log = read_table({"time": TIME, **positions, **efforts})
     assert set(log.effort_kinds.values()) == {"pwm"}
     np.testing.assert_allclose(log.effort, 0.1 * EFFORT, atol=1e-12)
 
@@ -1092,10 +1025,10 @@ def test_three_decimals_beside_whole_hundreds_are_no_thousands(tmp_path):
     assert "thousands" not in " ".join(log.notes)
 
 
-def test_rows_of_a_joint_in_units_of_which_one_is_not_known(tmp_path):
+def test_rows_of_a_joint_in_units_of_which_one_is_not_known(read_table):
     frame = pandas.DataFrame({"time_s": np.repeat(TIME, 2), "motor_id": [1, 2] * ROWS})
     frame = frame.assign(pos_deg=np.rad2deg(POSITION).ravel(), spd_erpm=1.0, cur_A=EFFORT.ravel())
-    log = read_log(csv_of(tmp_path, frame), joints=JOINTS)
+    log = read_table(frame, JOINTS)
     np.testing.assert_allclose(log.position, POSITION)
     np.testing.assert_allclose(log.effort, EFFORT)
     assert log.velocity is None
@@ -1104,64 +1037,60 @@ def test_rows_of_a_joint_in_units_of_which_one_is_not_known(tmp_path):
     assert any(said in note for note in log.notes)
 
 
-def test_stamps_of_whole_seconds_are_refused_with_what_to_do(tmp_path):
-    path = csv_of(tmp_path, PLAIN.assign(time=np.floor(TIME)))
+def test_stamps_of_whole_seconds_are_refused_with_what_to_do(read_table):
+    whole = PLAIN.assign(time=np.floor(TIME))
     with pytest.raises(LogError, match="uniform, give their rate with --rate"):
-        read_log(path)
-    np.testing.assert_allclose(read_log(path, reading=Reading(rate=100.0)).time, TIME)
+        read_table(whole)
+    np.testing.assert_allclose(read_table(whole, rate=100.0).time, TIME)
 
 
 @pytest.mark.parametrize("value", [-9999, 99999])
-def test_nines_far_from_all_others_are_no_measurements(tmp_path, value):
-    columns = {name: PLAIN[name].to_numpy().copy() for name in PLAIN}
-    columns["base.effort"][5:50:9] = value
-    log = read_log(csv_of(tmp_path, columns), joints=JOINTS)
-    np.testing.assert_array_equal(np.isnan(log.effort[:, 0]), columns["base.effort"] == value)
+def test_nines_far_from_all_others_are_no_measurements(read_table, value):
+    frame = PLAIN.copy()
+    frame.loc[5:49:9, "base.effort"] = value
+    log = read_table(frame, JOINTS)
+    np.testing.assert_array_equal(np.isnan(log.effort[:, 0]), frame["base.effort"] == value)
     assert f"'base.effort' is {value} in 5 rows: taken as not measured" in log.notes
 
 
-def test_signals_of_unknown_names_are_mapped(tmp_path):
+def test_signals_of_unknown_names_are_mapped(read_table):
     names = dict(zip(PLAIN.columns[1:], ("A", "B", "C", "D"), strict=True))
-    path = csv_of(tmp_path, PLAIN.rename(columns=names).melt(id_vars="time"))
+    columns = PLAIN.rename(columns=names).melt(id_vars="time")
     with pytest.raises(LogError, match="no joint with both position and effort") as error:
-        read_log(path)
+        read_table(columns)
     assert ": D" in error.value.evidence["proposal"]
-    columns = [{"position": MappedColumn(q), "effort": MappedColumn(e)} for q, e in ("AC", "BD")]
-    mapping = ColumnMapping(dict(zip(JOINTS, columns, strict=True)), MappedColumn("time"))
-    np.testing.assert_allclose(read_log(path, reading=Reading(mapping=mapping)).effort, EFFORT)
+    mapping = mapping_of({"base": "AC", "elbow": "BD"})
+    np.testing.assert_allclose(read_table(columns, mapping=mapping).effort, EFFORT)
 
 
-def test_cells_with_units_are_refused_with_where_these_belong(tmp_path):
-    path = csv_of(tmp_path, PLAIN.assign(**{"base.effort": [f"{x:.3f} Nm" for x in EFFORT[:, 0]]}))
+def test_cells_with_units_are_refused_with_where_these_belong(read_table):
+    columns = PLAIN.assign(**{"base.effort": [f"{x:.3f} Nm" for x in EFFORT[:, 0]]})
     with pytest.raises(LogError, match=r"numbers without units, and .* name: base.effort \[Nm\]"):
-        read_log(path)
+        read_table(columns)
 
 
-def test_a_column_that_may_be_time_by_its_values_is_proposed(tmp_path):
-    path, columns = tmp_path / "log.csv", PLAIN.assign(row=np.arange(ROWS), time=1000.0 * TIME)
+def test_a_column_that_may_be_time_by_its_values_is_proposed(tmp_path, read_table):
+    columns = PLAIN.assign(row=np.arange(ROWS), time=1000.0 * TIME)
     columns = columns[["row", *PLAIN]].rename(columns={"time": "Count"})
-    columns.to_csv(path, index=False)
     with pytest.raises(LogError, match="'Count' increases by 10 from row to row: is it") as error:
-        read_log(path, joints=JOINTS)
+        read_table(columns, JOINTS)
     (tmp_path / "m.yaml").write_text(error.value.evidence["proposal"])
-    log = read_log(path, reading=Reading(mapping=read_mapping(tmp_path / "m.yaml")))
+    log = read_table(columns, mapping=read_mapping(tmp_path / "m.yaml"))
     np.testing.assert_allclose(log.time, TIME)
-    columns.drop(columns="Count").to_csv(path, index=False)  # rows are no time
-    with pytest.raises(LogError, match="no column 'time'") as error:
-        read_log(path, joints=JOINTS)
+    with pytest.raises(LogError, match="no column 'time'") as error:  # rows are no time
+        read_table(columns.drop(columns="Count"), JOINTS)
     assert "rises" not in str(error.value)
 
 
-def test_what_columns_of_words_hold_is_said_where_nothing_else_is_of_joints(tmp_path):
+def test_what_columns_of_words_hold_is_said_where_nothing_else_is_of_joints(read_table):
     cells = [json.dumps({"position": q}) for q in POSITION.tolist()]
-    pandas.DataFrame({"time": TIME, "msg": cells}).to_csv(tmp_path / "log.csv", index=False)
     with pytest.raises(LogError, match=r"efforts: none; 'msg' holds '.\"position\": ") as error:
-        read_log(tmp_path / "log.csv", joints=JOINTS)
+        read_table({"time": TIME, "msg": cells}, JOINTS)
     assert "to a .jsonl file" in error.value.advice
 
 
 def demonstrations(path, numbers=(0, 1, 10, 2), *, time=False, rate=True):
-    """Write demonstrations of 40 + number rows, as robomimic does; positions say which."""
+    """Write demonstrations of 40 + number rows as robomimic does; positions tell the number."""
     with h5py.File(path, "w") as file:
         for number in numbers:
             rows = 40 + number
@@ -1201,10 +1130,15 @@ def test_demonstrations_are_one_log_with_gaps_or_one_of_them(tmp_path, time):
         read_log(path, reading=Reading(episode=3))
 
 
-def test_of_many_demonstrations_those_that_are_asked_for_are_read(tmp_path, monkeypatch):
-    """More objects than are read at once; those of other episodes may be damaged."""
+@pytest.fixture
+def few_columns(monkeypatch):
+    """Lower the limit on the columns that are read."""
     for module in ("array_files", "column_mapping"):
         monkeypatch.setattr(f"geodrake.logs.files.{module}.MOST_COLUMNS", 50)
+
+
+def test_of_many_demonstrations_those_that_are_asked_for_are_read(tmp_path, few_columns):
+    """Objects of other episodes may be many, and damaged."""
     path = tmp_path / "demos.hdf5"
     with h5py.File(path, "w") as file:
         file["data/dt"] = 0.05
@@ -1260,32 +1194,40 @@ def test_a_file_without_episodes_has_none_to_choose(tmp_path):
         read_log(written(tmp_path, "object.json"), reading=Reading(episode=0))
 
 
-def test_columns_before_their_clocks_keep_their_order(tmp_path):
-    numbers = np.column_stack([POSITION, TIME, EFFORT, TIME + 0.001])
-    path = tmp_path / "behind.csv"
-    pandas.DataFrame(numbers, columns=["q1", "q2", "t_q", "tau1", "tau2", "t_tau"]).to_csv(
-        path, index=False
-    )
-    log = read_log(path)
+def test_columns_before_their_clocks_keep_their_order(read_table):
+    columns = dict(zip(["q1", "q2", "t_q", "tau1", "tau2", "t_tau"],
+        np.column_stack([POSITION, TIME, EFFORT, TIME + 0.001]).T, strict=True))  # fmt: skip
+    log = read_table(columns)
     assert log.joints == ("joint_1", "joint_2")
     np.testing.assert_allclose(log.position, POSITION)
 
 
-@pytest.mark.parametrize("kind", ["json", "hdf5", "csv"])
-def test_joints_with_time_of_their_own_are_joined_by_it(tmp_path, kind):
+LATE = TIME[:-7] + 0.003
+OWN_TIMES = {
+    joint: {"t": time, "position": position, "effort": effort}
+    for joint, time, position, effort in (
+        ("base", TIME, 3.0 * TIME, TIME),
+        ("elbow", LATE, 1.0 + LATE, 2.0 - LATE),
+    )
+}
+OWN_FRAMES = {joint: pandas.DataFrame(columns) for joint, columns in OWN_TIMES.items()}
+WITH_OWN_TIMES = {
+    "lists.json": text(json.dumps({"joints": {n: listed(x) for n, x in OWN_TIMES.items()}})),
+    "records.json": text(json.dumps({n: x.to_dict("records") for n, x in OWN_FRAMES.items()})),
+    "named.json": text(json.dumps([{"name": n, **listed(x)} for n, x in OWN_TIMES.items()])),
+    "groups.hdf5": in_hdf5({f"{n}/{q}": x for n, own in OWN_TIMES.items() for q, x in own.items()}),
+    "structs.mat": lambda path: savemat(path, OWN_TIMES),
+    "columns.csv": table(
+        pandas.concat([x.add_prefix(f"{n}_") for n, x in OWN_FRAMES.items()], axis=1)
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WITH_OWN_TIMES)
+def test_joints_with_time_of_their_own_are_joined_by_it(tmp_path, name):
     """Their stamps and numbers of rows differ."""
-    late = TIME[:-7] + 0.003
-    own = {"base": (TIME, 3.0 * TIME, TIME), "elbow": (late, 1.0 + late, 2.0 - late)}
-    fields = {n: dict(zip(("t", "position", "effort"), x, strict=True)) for n, x in own.items()}
-    path = tmp_path / f"own.{kind}"
-    if kind == "json":
-        path.write_text(json.dumps({name: listed(each) for name, each in fields.items()}))
-    elif kind == "csv":
-        frames = [pandas.DataFrame(x).add_prefix(f"{name}_") for name, x in fields.items()]
-        pandas.concat(frames, axis=1).to_csv(path, index=False)
-    else:
-        in_hdf5({f"{name}/{n}": x for name, each in fields.items() for n, x in each.items()})(path)
-    log = read_log(path, joints=JOINTS)
+    WITH_OWN_TIMES[name](tmp_path / name)
+    log = read_log(tmp_path / name, joints=JOINTS)
     known = np.isfinite(log.position).all(axis=1)
     assert np.count_nonzero(known) == ROWS - 8  # between the first and the last stamp of both
     np.testing.assert_allclose(log.position[known, 0], 3.0 * log.time[known], atol=1e-9)
