@@ -1,22 +1,25 @@
-"""Logs as other libraries write them: each function writes one, and returns its path."""
+"""Write logs as other libraries do; each function returns the path."""
 
 import json
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 MODELS = Path(__file__).parents[1] / "models"
 EPOCH = 1_760_000_000_000_000_000  # ns, when recordings begin
+QUANTITIES = ("position", "velocity", "effort")
 
 
 def nanoseconds(log):
     return [int(stamp) for stamp in np.round(1e9 * (log.time - log.time[0]))]
 
 
-def joint_states(store, log, header, *, efforts=True, order=None):
-    """A JointState for each row, with its stamp; `header(ns)` makes the header."""
+def joint_states(store, log, header=None, *, efforts=True, order=None):
+    """Yield the time and a JointState of each row, with headers by `header(ns)`."""
     JointState = store.types["sensor_msgs/msg/JointState"]
-    order = order or (lambda k: range(len(log.joints)))
+    header, order = header or ros2_header(store), order or (lambda k: range(len(log.joints)))
+    speeds = 0.0 * log.position if log.velocity is None else log.velocity
     for k, since in enumerate(nanoseconds(log)):
         places = list(order(k))
         yield (
@@ -25,16 +28,21 @@ def joint_states(store, log, header, *, efforts=True, order=None):
                 header(since + EPOCH),
                 [log.joints[place] for place in places],
                 log.position[k, places],
-                log.velocity[k, places],
+                speeds[k, places],
                 log.effort[k, places] if efforts else np.zeros(0),
             ),
         )
 
 
-def ros2_store():
-    from rosbags.typesys import Stores, get_typestore
+@cache
+def ros2_store(*definitions):
+    """Return the types of ROS 2, with further ones by pairs of name and definition."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    return get_typestore(Stores.ROS2_JAZZY)
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for name, text in definitions:
+        store.register(get_types_from_msg(text, name))
+    return store
 
 
 def ros2_header(store):
@@ -44,10 +52,11 @@ def ros2_header(store):
     return lambda ns: Header(Time(ns // 10**9, ns % 10**9), "base")
 
 
-def write_rosbag2(folder, topics, store, *, storage="MCAP"):
-    """A rosbag2 of topics -> (time, message)s, written by rosbags."""
+def write_rosbag2(folder, topics, store=None, *, storage="MCAP"):
+    """Write a rosbag2 of topics -> (time, message)s with rosbags."""
     from rosbags.rosbag2 import StoragePlugin, Writer
 
+    store = store or ros2_store()
     with Writer(folder, version=9, storage_plugin=StoragePlugin[storage]) as writer:
         for topic, each in topics.items():
             messages = list(each)
@@ -59,11 +68,8 @@ def write_rosbag2(folder, topics, store, *, storage="MCAP"):
 
 
 def rosbag2_mcap(folder, log, storage="MCAP"):
-    store = ros2_store()
-    states = joint_states(store, log, ros2_header(store))
-    return write_rosbag2(
-        folder / f"bag_{storage}", {"/joint_states": states}, store, storage=storage
-    )
+    topics = {"/joint_states": joint_states(ros2_store(), log)}
+    return write_rosbag2(folder / f"bag_{storage}", topics, storage=storage)
 
 
 def rosbag2_sqlite3(folder, log):
@@ -76,10 +82,7 @@ HUMBLE_POINTS = ("reference", "feedback", "error", "output", "desired", "actual"
 def controller_state(
     folder, log, *, points=("reference", "feedback"), effort_at=None, storage="MCAP"
 ):
-    """States of ros2_control's trajectory controller, of a type that only the bag defines."""
-    from rosbags.typesys import get_types_from_msg
-
-    store = ros2_store()
+    """Write states of ros2_control's trajectory controller, of a type that only the bag defines."""
     kind = "control_msgs/msg/JointTrajectoryControllerState"
     text = "std_msgs/Header header\nstring[] joint_names\n"
     text += "".join(f"trajectory_msgs/JointTrajectoryPoint {name}\n" for name in points)
@@ -87,7 +90,7 @@ def controller_state(
     if more:
         text += "string[] multi_dof_joint_names\n"
         text += "".join(f"trajectory_msgs/MultiDOFJointTrajectoryPoint {name}\n" for name in more)
-    store.register(get_types_from_msg(text, kind))
+    store = ros2_store((kind, text))
     State, Point, Bodies, Duration = (
         store.types[name]
         for name in (
@@ -117,21 +120,17 @@ def controller_state(
 
 
 def motor_states(folder, log, *, spare=0):
-    """States of motors, a message each in one of the robot, as Unitree's robots publish them.
+    """Write states of all motors in each message, as robots of Unitree publish them.
 
     A motor has two temperatures, the first of which rises from 30 °C.
     """
-    from rosbags.typesys import get_types_from_msg
-
-    store, kinds = ros2_store(), ("unitree_go/msg/MotorState", "unitree_go/msg/LowState")
     count = len(log.joints) + spare
-    text = f"unitree_go/MotorState[{count}] motor_state\nuint32 tick\n"
-    store.register(
-        get_types_from_msg(
-            "uint8 mode\nfloat32 q\nfloat32 tau_est\nint16[2] temperature\n", kinds[0]
-        )
-    )
-    store.register(get_types_from_msg(text, kinds[1]))
+    motor = "uint8 mode\nfloat32 q\nfloat32 tau_est\nint16[2] temperature\n"
+    kinds = {
+        "unitree_go/msg/MotorState": motor,
+        "unitree_go/msg/LowState": f"unitree_go/MotorState[{count}] motor_state\nuint32 tick\n",
+    }
+    store = ros2_store(*kinds.items())
     Motor, State = (store.types[kind] for kind in kinds)
 
     def messages():
@@ -146,12 +145,8 @@ def motor_states(folder, log, *, spare=0):
 
 
 def other_messages(folder, log, kind, definitions, make):
-    """A rosbag2 of messages of a type that only the bag defines."""
-    from rosbags.typesys import get_types_from_msg
-
-    store = ros2_store()
-    for name, text in definitions.items():
-        store.register(get_types_from_msg(text, name))
+    """Write a rosbag2 of messages of a type that only the bag defines."""
+    store = ros2_store(*definitions.items())
     header = ros2_header(store)
 
     def messages():
@@ -163,11 +158,11 @@ def other_messages(folder, log, kind, definitions, make):
 
 
 def log_arrays(log):
-    return log.position, log.velocity, log.effort
+    return [getattr(log, quantity) for quantity in QUANTITIES]
 
 
 def messages_with_names(folder, log):
-    """A message for each joint with its name, the last joint first."""
+    """Write the states of all joints with their names, the last joint first."""
     state = "string name\nfloat64 angle\nfloat64 speed\nfloat64 torque\n"
     kinds = {"own_msgs/msg/State": state}
     kinds["own_msgs/msg/Arm"] = "std_msgs/Header header\nown_msgs/State[] joints\n"
@@ -180,7 +175,7 @@ def messages_with_names(folder, log):
 
 
 def messages_by_names(folder, log):
-    """A field for each joint, called after it."""
+    """Write messages with a field of the name of each joint."""
     fields = "".join(f"own_msgs/Part {joint}\n" for joint in log.joints)
     kinds = {"own_msgs/msg/Part": "float64 pos\nfloat64 vel\nfloat64 torque\n"}
     kinds["own_msgs/msg/Whole"] = f"builtin_interfaces/Time stamp\n{fields}"
@@ -193,7 +188,7 @@ def messages_by_names(folder, log):
 
 
 def json_mcap(folder, log):
-    """What Foxglove's SDK writes of a program without ROS."""
+    """Write JSON messages as Foxglove's SDK does for a program without ROS."""
     from mcap.writer import Writer
 
     with (path := folder / "json.mcap").open("wb") as file:
@@ -202,10 +197,9 @@ def json_mcap(folder, log):
         schema = writer.register_schema("State", "jsonschema", b"{}")
         channel = writer.register_channel("/state", "json", schema)
         for k, since in enumerate(nanoseconds(log)):
-            told = dict(
-                zip(("q", "dq", "tau"), (x[k].tolist() for x in log_arrays(log)), strict=True)
-            )
-            data = json.dumps({"names": log.joints, **told}).encode()
+            q, dq, tau = (x[k].tolist() for x in log_arrays(log))
+            told = {"names": log.joints, "q": q, "dq": dq, "tau": tau}
+            data = json.dumps(told).encode()
             writer.add_message(channel, since + EPOCH, data, since + EPOCH)
         writer.finish()
     return path
@@ -233,7 +227,7 @@ def protobuf_mcap(folder, log):
 
 
 def bare_mcap(folder, log):
-    """One MCAP file, by the writer of mcap-ros2-support."""
+    """Write one MCAP file with mcap-ros2-support."""
     from mcap_ros2.writer import Writer
 
     kind = "sensor_msgs/msg/JointState"
@@ -244,65 +238,48 @@ def bare_mcap(folder, log):
         schema = writer.register_msgdef(kind, definition)
         for k, since in enumerate(nanoseconds(log)):
             ns = since + EPOCH
-            message = {
-                "header": {"stamp": {"sec": ns // 10**9, "nanosec": ns % 10**9}, "frame_id": ""},
-                "name": list(log.joints),
-                "position": log.position[k].tolist(),
-                "velocity": log.velocity[k].tolist(),
-                "effort": log.effort[k].tolist(),
-            }
-            writer.write_message("/robot/joint_states", schema, message, log_time=ns)
+            stamp = {"sec": ns // 10**9, "nanosec": ns % 10**9}
+            numbers = {quantity: getattr(log, quantity)[k].tolist() for quantity in QUANTITIES}
+            message = {"header": {"stamp": stamp, "frame_id": ""}, "name": list(log.joints)}
+            writer.write_message("/robot/joint_states", schema, message | numbers, log_time=ns)
         writer.finish()
     return path
 
 
-def ros1_store():
-    """The types of ROS 1, and what makes a header of one stamp."""
+def ros1_bag(folder, log):
+    """Write a bag of ROS 1."""
+    from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_typestore
 
-    store = get_typestore(Stores.ROS1_NOETIC)
+    store, kind = get_typestore(Stores.ROS1_NOETIC), "sensor_msgs/msg/JointState"
     Header, Time = (
         store.types[name] for name in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time")
     )
-    return store, lambda ns: Header(0, Time(ns // 10**9, ns % 10**9), "")
-
-
-def write_rosbag1(path, topics, store):
-    """A bag of ROS 1 of topics -> (time, message)s, written by rosbags."""
-    from rosbags.rosbag1 import Writer
-
+    path = folder / "noetic.bag"
     with Writer(path) as writer:
-        for topic, each in topics.items():
-            messages = list(each)
-            kind = messages[0][1].__msgtype__
-            connection = writer.add_connection(topic, kind, typestore=store)
-            for ns, message in messages:
-                writer.write(connection, ns, store.serialize_ros1(message, kind))
+        connection = writer.add_connection("/joint_states", kind, typestore=store)
+        header = lambda ns: Header(0, Time(ns // 10**9, ns % 10**9), "")  # noqa: E731
+        for ns, message in joint_states(store, log, header):
+            writer.write(connection, ns, store.serialize_ros1(message, kind))
     return path
 
 
-def ros1_bag(folder, log):
-    store, header = ros1_store()
-    states = joint_states(store, log, header)
-    return write_rosbag1(folder / "noetic.bag", {"/joint_states": states}, store)
-
-
 def named_columns(log):
-    """Columns as in a CSV, from another place than geodrake's own writer."""
+    """Return columns by the names of a CSV, but not by geodrake's own writer."""
     columns = {"time": log.time}
-    for quantity in ("position", "velocity", "effort"):
+    for quantity in QUANTITIES:
         for k, joint in enumerate(log.joints):
             columns[f"{joint}.{quantity}"] = getattr(log, quantity)[:, k]
     return columns
 
 
 def arrow_parquet(folder, log):
-    """Lists of numbers, in structs."""
+    """Write lists of numbers."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     table = {"time": log.time, "mode": ["auto"] * len(log)}
-    for quantity in ("position", "velocity", "effort"):
+    for quantity in QUANTITIES:
         flat = pa.array(getattr(log, quantity).ravel())
         table[quantity] = pa.FixedSizeListArray.from_arrays(flat, len(log.joints))
     path = folder / "arrow.parquet"
@@ -335,7 +312,7 @@ def polars_feather(folder, log):
 
 
 def blank(kind, joints):
-    """A status message of LCM with zeros for some joints."""
+    """Return a status message of LCM, all of whose numbers are zero."""
     status = kind()
     status.num_joints = joints
     for name in status.__slots__:
@@ -345,7 +322,7 @@ def blank(kind, joints):
 
 
 def lcm_log(folder, log):
-    """What lcm-logger keeps of a KUKA iiwa, whose torques have the other sign."""
+    """Write what lcm-logger records of a KUKA iiwa, whose torques have the opposite sign."""
     import lcm
     from drake import lcmt_iiwa_status, lcmt_robot_state
 
@@ -364,7 +341,7 @@ def lcm_log(folder, log):
 
 
 def simulated_iiwa():
-    """Status messages of Drake's driver of an arm that it holds, and the actuation at the end."""
+    """Return status messages of Drake's driver of an arm at rest, and the last actuation."""
     from drake import lcmt_iiwa_command
     from pydrake.lcm import DrakeLcm
     from pydrake.manipulation import BuildIiwaControl, IiwaDriver
@@ -410,13 +387,13 @@ def mat_v7(folder, log):
 
 
 def mat_v73(folder, log):
-    """As MATLAB lays it out: columns first, and a class for each variable."""
+    """Write arrays as MATLAB does: columns first, and a class for each variable."""
     import h5py
 
     path = folder / "hdf5.mat"
     with h5py.File(path, "w", userblock_size=512) as file:
         for k, joint in enumerate(log.joints):
-            for quantity in ("position", "velocity", "effort"):
+            for quantity in QUANTITIES:
                 values = getattr(log, quantity)[:, k]
                 file[f"{joint}/{quantity}"] = values[None, :]
         file["time"] = log.time[None, :]
@@ -428,7 +405,7 @@ def mat_v73(folder, log):
 
 
 def lerobot(folder, log, *, version="v3.0", episodes=2, efforts=True, actions=True):
-    """A dataset of equal episodes: of version 3 in one file, of version 2 in one each.
+    """Write a dataset of equal episodes, in one file or, in version 2, in one each.
 
     Actions are the log's commands, or its positions if it has none.
     """
@@ -488,4 +465,4 @@ FORMATS = (
     mat_v7,
     mat_v73,
 )
-"""Those that keep every number as it is."""
+"""Formats that keep every number as it is."""

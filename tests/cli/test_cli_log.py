@@ -9,15 +9,7 @@ import foreign_logs
 import numpy as np
 import pytest
 from commands import refused, run, told
-from foreign_logs import (
-    joint_states,
-    lcm_log,
-    lerobot,
-    ros1_bag,
-    ros2_header,
-    ros2_store,
-    write_rosbag2,
-)
+from foreign_logs import joint_states, lcm_log, lerobot, ros1_bag, ros2_store, write_rosbag2
 from pendulum_logs import PENDULUM, body_effort
 from PIL import Image
 
@@ -275,20 +267,17 @@ def small_log(rows=40):
     return JointLog("log", ("shoulder", "elbow"), time, q, body_effort(q, v, vd), v)
 
 
-def bag(folder, **topics):
-    store = ros2_store()
-    return write_rosbag2(folder / "bag", {f"/{n}": m for n, m in topics.items()}, store)
+def bag(folder, messages, topic="/joint_states"):
+    return write_rosbag2(folder / "bag", {topic: messages})
 
 
 def states(log=None):
-    store = ros2_store()
-    return joint_states(store, log or small_log(), ros2_header(store))
+    return list(joint_states(ros2_store(), log or small_log()))
 
 
 def strings(folder):
-    store = ros2_store()
-    message = store.types["std_msgs/msg/String"]("hello")
-    return write_rosbag2(folder / "bag", {"/chatter": [(1, message)] * 20}, store)
+    message = ros2_store().types["std_msgs/msg/String"]("hello")
+    return bag(folder, [(1, message)] * 20, "/chatter")
 
 
 def cut(path, share=0.6):
@@ -301,7 +290,7 @@ def only_file(folder, suffix):
 
 
 def cut_mcap(folder):
-    return cut(only_file(bag(folder, joint_states=states()), ".mcap"))
+    return cut(only_file(bag(folder, states()), ".mcap"))
 
 
 def cut_sqlite(folder):
@@ -325,9 +314,9 @@ def empty_folder(folder):
 
 
 def uneven(folder):
-    messages = list(states())
+    messages = states()
     messages[5][1].effort = np.zeros(3)
-    return bag(folder, joint_states=messages)
+    return bag(folder, messages)
 
 
 def back_in_time(folder):
@@ -350,11 +339,11 @@ def text_in_mat(folder):
 
 
 BAD = {
-    "empty bag": (lambda f: bag(f, joint_states=[]), "has no messages"),
+    "empty bag": (lambda f: bag(f, []), "has no messages"),
     "no joint states": (strings, "no topic with both joint positions and efforts"),
     "uneven arrays": (uneven, "2 joints, but 3 values of effort"),
     "back in time": (back_in_time, "Time runs backwards in /joint_states: message 8"),
-    "too short": (lambda f: bag(f, joint_states=states(small_log(5))), "5 rows"),
+    "too short": (lambda f: bag(f, states(small_log(5))), "5 rows"),
     "cut MCAP": (cut_mcap, "mcap recover"),
     "cut SQLite": (cut_sqlite, "not a readable ROS bag"),
     "cut ROS 1": (lambda f: cut(ros1_bag(f, small_log(400))), "rosbag reindex"),

@@ -1,4 +1,4 @@
-"""Logs that other libraries wrote, and bags whose topics are joined."""
+"""Logs that other libraries write, and bags whose topics are joined."""
 
 import sqlite3
 from dataclasses import replace
@@ -12,6 +12,7 @@ import pytest
 from foreign_logs import (
     EPOCH,
     FORMATS,
+    QUANTITIES,
     joint_states,
     lerobot,
     ros2_header,
@@ -38,15 +39,12 @@ def log():
 def test_every_format_keeps_every_number(tmp_path, log, write):
     read = read_log(write(tmp_path, log), joints=JOINTS)
     assert read.joints == JOINTS
-    for quantity in ("time", "position", "velocity", "effort"):
+    for quantity in ("time", *QUANTITIES):
         assert np.allclose(getattr(read, quantity), getattr(log, quantity), rtol=0, atol=1e-8)
 
 
 def test_messages_with_one_for_each_motor(tmp_path, log):
-    """Behind the last motor there are others, which no robot of that kind has.
-
-    Of two temperatures of each motor the first is taken.
-    """
+    """Messages of a robot have room for more motors; the first temperature of each is read."""
     spare = foreign_logs.motor_states(tmp_path, log, spare=3)
     read = read_log(spare, joints=JOINTS)
     assert np.allclose(read.position, log.position, atol=1e-6)
@@ -80,48 +78,44 @@ def test_dataset_without_efforts(tmp_path, log):
 
 
 def test_torques_of_an_iiwa_have_the_sign_of_drakes_plant(tmp_path):
-    """Drake's own simulated driver, and the actuation of the plant that it drives."""
-    lcm = pytest.importorskip("lcm")
+    """Messages and actuation are of Drake's own driver and plant."""
     statuses, actuation = foreign_logs.simulated_iiwa()
-    path = tmp_path / "iiwa.lcm"
-    events = lcm.EventLog(str(path), "w")
-    for k, status in enumerate(statuses):
-        events.write_event(5000 * k, "IIWA_STATUS", status)
-    events.close()
-    read = read_log(path)
+    read = read_log(iiwa_log(tmp_path / "iiwa.lcm", statuses, "IIWA_STATUS"))
     assert np.allclose(read.effort[-1], actuation)
     assert "have the opposite sign" in " ".join(read.notes)
+    channels = ("LEFT_STATUS", "RIGHT_STATUS")
+    path = iiwa_log(tmp_path / "arms.lcm", statuses, *channels)
+    one = read_log(path, reading=Reading(topic="LEFT_STATUS"))
+    assert np.array_equal(one.effort, read.effort)
+    joints = [f"{arm}_{k}" for arm in ("left", "right") for k in range(len(one.joints))]
+    both = read_log(path, joints=joints, reading=Reading(topic=channels))
+    np.testing.assert_allclose(both.effort, np.hstack([one.effort] * 2))
 
 
-def test_channels_of_two_arms_are_joined(tmp_path):
-    lcm, (*statuses, _) = pytest.importorskip("lcm"), foreign_logs.simulated_iiwa()[0]
-    path = tmp_path / "arms.lcm"
+def iiwa_log(path, statuses, *channels):
+    lcm = pytest.importorskip("lcm")
     events = lcm.EventLog(str(path), "w")
     for k, status in enumerate(statuses):
-        for arm in ("LEFT", "RIGHT"):
-            events.write_event(5000 * k, f"{arm}_STATUS", status)
+        for channel in channels:
+            events.write_event(5000 * k, channel, status)
     events.close()
-    one = read_log(path, reading=Reading(topic="LEFT_STATUS"))
-    joints = [f"{arm}_{k}" for arm in ("left", "right") for k in range(len(one.joints))]
-    both = read_log(path, joints=joints, reading=Reading(topic=("LEFT_STATUS", "RIGHT_STATUS")))
-    np.testing.assert_allclose(both.effort, np.hstack([one.effort] * 2))
+    return path
 
 
 def frames(log):
     columns = foreign_logs.named_columns(log)
     indexed = pandas.DataFrame(columns, index=pandas.to_timedelta(log.time, unit="s"))
     kinds = [(name, float) for name in columns]
+    arrays = {name: getattr(log, name) for name in ("time", *QUANTITIES)}
     return {
         "pandas": pandas.DataFrame(columns),
         "pandas, time as index": indexed.drop(columns="time"),
         "pandas, nullable": pandas.DataFrame(columns).convert_dtypes(),
         "polars": polars.DataFrame(columns),
-        "polars, lists": polars.DataFrame(
-            {q: getattr(log, q).tolist() for q in ("time", "position", "effort", "velocity")}
-        ),
+        "polars, lists": polars.DataFrame({name: x.tolist() for name, x in arrays.items()}),
         "arrow": pyarrow.table(columns),
         "records": np.array([*zip(*columns.values(), strict=True)], dtype=kinds),
-        "arrays": {name: getattr(log, name) for name in ("time", "position", "velocity", "effort")},
+        "arrays": arrays,
         "a CSV's arrays": columns,
     }
 
@@ -129,7 +123,7 @@ def frames(log):
 def test_frames_of_any_library_are_logs(log):
     for kind, frame in frames(log).items():
         read = log_of_frame(frame, joints=JOINTS)
-        for quantity in ("time", "position", "velocity", "effort"):
+        for quantity in ("time", *QUANTITIES):
             values = getattr(read, quantity), getattr(log, quantity)
             assert np.allclose(*values, rtol=0, atol=1e-9), kind
     again = log_of_frame(log.to_dataframe())
@@ -170,20 +164,12 @@ def test_what_is_no_frame(frame):
         log_of_frame(frame)
 
 
-def bag_of(folder, log, *, storage="MCAP", stamp=lambda ns: ns, **more):
-    """A rosbag2 of one topic of JointState."""
-    store = ros2_store()
-    header = ros2_header(store)
-    states = joint_states(store, log, lambda ns: header(stamp(ns)), **more)
-    return write_rosbag2(folder / "bag", {"/joint_states": states}, store, storage=storage)
-
-
 def test_order_of_joints_may_change(tmp_path, log):
-    path = bag_of(tmp_path, log, order=lambda k: (0, 1) if k % 3 else (1, 0))
-    read = read_log(path, joints=JOINTS)
+    told = states(log, order=lambda k: (0, 1) if k % 3 else (1, 0))
+    read = read_log(bag(tmp_path, joint_states=told), joints=JOINTS)
     assert np.array_equal(read.position, log.position)
     assert np.array_equal(read.effort, log.effort)
-    assert "order of joints in" in " ".join(read.notes)
+    assert "order of joints in" in said(read)
 
 
 @pytest.mark.parametrize("which", ["", "some "])
@@ -191,28 +177,26 @@ def test_receive_times_where_stamps_are_missing(tmp_path, log, which):
     def stamp(ns):
         return ns - 7_000_000 if which and ns % 3 else 0
 
-    read = read_log(bag_of(tmp_path, log, stamp=stamp))
+    read = read_log(bag(tmp_path, joint_states=states(log, stamp=stamp)))
     assert np.allclose(read.time, log.time, atol=1e-9)
-    said = f"{which}messages of /joint_states have no stamps, so the time of receipt is used"
-    assert said in " ".join(read.notes)
+    words = f"{which}messages of /joint_states have no stamps, so the time of receipt is used"
+    assert words in said(read)
 
 
 def one_joint(log, joint, rows=slice(None), later=0.0):
     picked = log.select([joint])
-    parts = {q: getattr(picked, q)[rows] for q in ("position", "velocity", "effort")}
+    parts = {quantity: getattr(picked, quantity)[rows] for quantity in QUANTITIES}
     return replace(picked, time=picked.time[rows] + later, **parts)
 
 
 def bag_of_parts(folder, log, parts):
-    store = ros2_store()
-    header = ros2_header(store)
+    """Write the messages of several logs, in the order of their times, to one topic."""
     messages = []
     for part in parts:
         shift = round(1e9 * (part.time[0] - log.time[0]))
-        shifted = joint_states(store, part, lambda ns, by=shift: header(ns + by))
+        shifted = states(part, stamp=lambda ns, by=shift: ns + by)
         messages += [(ns + shift, message) for ns, message in shifted]
-    messages.sort(key=lambda item: item[0])
-    return write_rosbag2(folder / "parts", {"/joint_states": messages}, store)
+    return bag(folder, joint_states=sorted(messages, key=lambda item: item[0]))
 
 
 def test_messages_of_some_joints_each_are_put_together(tmp_path, log):
@@ -243,16 +227,14 @@ def test_a_joint_that_is_told_of_rarely_is_left_out_unless_it_is_needed(tmp_path
 
 
 def test_several_topics_are_named_and_chosen(tmp_path, log):
-    store = ros2_store()
-    header = ros2_header(store)
     other = replace(log, effort=2 * log.effort)
-    topics = {
-        "/left/joint_states": joint_states(store, log, header),
-        "/right/joint_states": joint_states(store, other, header),
-        "/gripper/joint_states": joint_states(store, log, header, efforts=False),
-        "/joint_commands": joint_states(store, log, header),
-    }
-    path = write_rosbag2(tmp_path / "bag", topics, store)
+    path = bag(
+        tmp_path,
+        left__joint_states=states(log),
+        right__joint_states=states(other),
+        gripper__joint_states=states(log, efforts=False),
+        joint_commands=states(log),
+    )
     with pytest.raises(LogError, match=r"2 topics.* /left/joint_states .*--topic /left"):
         read_log(path)
     for topic, each in (("right/joint_states", other), ("/joint_commands", log)):
@@ -266,13 +248,13 @@ def test_several_topics_are_named_and_chosen(tmp_path, log):
 
 
 def test_bag_whose_recorder_was_killed_has_no_metadata(tmp_path, log):
-    path = bag_of(tmp_path, log, storage="SQLITE3")
+    path = foreign_logs.rosbag2_sqlite3(tmp_path, log)
     (path / "metadata.yaml").unlink()
     assert len(read_log(path)) == len(log)
 
 
 def without_definitions(path):
-    """A bag as rosbag2 wrote it into SQLite until ROS 2 Humble: types by their names alone."""
+    """Take the definitions of types out of a bag, as rosbag2 wrote none until ROS 2 Humble."""
     (file,) = path.glob("*.db3")
     with sqlite3.connect(file) as database:
         database.execute("DELETE FROM message_definitions")
@@ -295,7 +277,7 @@ def test_efforts_of_a_controller_are_its_output_if_none_are_measured(tmp_path, l
     path = foreign_logs.controller_state(tmp_path, log, points=points, effort_at="output")
     read = read_log(path, joints=JOINTS)
     assert np.array_equal(read.effort, log.effort)
-    assert "the controller's output is used" in " ".join(read.notes)
+    assert "the controller's output is used" in said(read)
 
 
 @pytest.mark.parametrize("points", [("reference", "feedback"), ("desired", "actual", "error")])
@@ -309,14 +291,16 @@ def test_what_a_controller_asked_for_where_nobody_measures_efforts(tmp_path, log
 
 
 def test_positions_currents_and_commands_in_three_files(tmp_path, log):
-    for name, values in (("positions", log.position), ("commands", log.position + 0.1)):
-        rows = np.column_stack([log.time, values])
-        np.savetxt(tmp_path / f"{name}.csv", rows, delimiter=",", header="t,q1,q2", comments="")
-    rows = np.column_stack([log.time, log.effort])
-    np.savetxt(tmp_path / "currents.csv", rows, delimiter=",", header="t,1,2", comments="")
-    parts = [str(tmp_path / name) for name in ("positions.csv", "commands.csv")]
-    assert np.allclose(read_log("+".join(parts), joints=JOINTS).command, log.position + 0.1)
-    read = read_log("+".join([parts[0], str(tmp_path / "currents.csv")]), joints=JOINTS)
+    for name, values, header in (
+        ("positions", log.position, "t,q1,q2"),
+        ("commands", log.position + 0.1, "t,q1,q2"),
+        ("currents", log.effort, "t,1,2"),
+    ):
+        rows, path = np.column_stack([log.time, values]), tmp_path / f"{name}.csv"
+        np.savetxt(path, rows, delimiter=",", header=header, comments="")
+    read = read_log(f"{tmp_path}/positions.csv+{tmp_path}/commands.csv", joints=JOINTS)
+    assert np.allclose(read.command, log.position + 0.1)
+    read = read_log(f"{tmp_path}/positions.csv+{tmp_path}/currents.csv", joints=JOINTS)
     assert set(read.effort_kinds.values()) == {"current"}
     assert np.allclose(read.effort, log.effort)
 
@@ -326,51 +310,44 @@ TOLD = "/position_controller/commands"
 
 @pytest.fixture(scope="module")
 def sent():
-    """Positions behind their commands, 200 a second."""
+    """Return a log of positions that follow their commands, without efforts."""
     time = 0.005 * np.arange(300)
-    return JointLog(
-        "log", JOINTS, time, motion(time - 0.01), 8.0 * motion(time), command=motion(time)
-    )
+    q, efforts = motion(time - 0.01), 8.0 * motion(time)
+    return JointLog("log", JOINTS, time, q, efforts, command=motion(time))
 
 
 def motion(time):
     return np.column_stack([np.sin(1.9 * time), 0.4 + np.cos(3.1 * time)])
 
 
-def states(log, *, stamp=lambda ns: ns, efforts=None):
-    store = ros2_store()
-    header = ros2_header(store)
-    measured = replace(log, velocity=np.zeros(log.position.shape))
-    measured = measured if efforts is None else replace(measured, effort=efforts)
-    told = joint_states(store, measured, lambda ns: header(stamp(ns)), efforts=efforts is not None)
-    return list(told)
-
-
 def test_positions_and_efforts_without_names_are_joined(tmp_path, sent):
-    topics = {"/joint_positions": numbers(sent, values=sent.position)}
-    topics["/joint_torques"] = numbers(sent, values=sent.effort)
-    read = read_log(write_rosbag2(tmp_path / "bag", topics, ros2_store()), joints=JOINTS)
+    topics = {"joint_positions": sent.position, "joint_torques": sent.effort}
+    told = {name: numbers(sent, values=values) for name, values in topics.items()}
+    read = read_log(bag(tmp_path, **told), joints=JOINTS)
     assert np.allclose(read.position, sent.position) and np.allclose(read.effort, sent.effort)
 
 
 def numbers(log, order=(0, 1), *, late=0.0, every=1, values=None):
-    """Float64MultiArrays, without stamps and names."""
+    """Return Float64MultiArrays, which have neither stamps nor names."""
     types = ros2_store().types
     layout = types["std_msgs/msg/MultiArrayLayout"]([], 0)
+    Numbers = types["std_msgs/msg/Float64MultiArray"]
     values = log.command if values is None else values
-    rows = range(0, len(log), every)
-    return [
-        (
-            EPOCH + round(1e9 * (log.time[k] + late)),
-            types["std_msgs/msg/Float64MultiArray"](layout, values[k, list(order)]),
-        )
-        for k in rows
-    ]
+    stamps = (EPOCH + np.rint(1e9 * (log.time + late))).astype(int).tolist()
+    return [(stamps[k], Numbers(layout, values[k, list(order)])) for k in range(0, len(log), every)]
 
 
-def bag(folder, store=None, **topics):
+def bag(folder, store=None, storage="MCAP", **topics):
+    """Write a rosbag2 of messages by the names of their topics, in which `__` is a slash."""
     topics = {f"/{name.replace('__', '/')}": messages for name, messages in topics.items()}
-    return write_rosbag2(folder / "bag", topics, store or ros2_store())
+    return write_rosbag2(folder / f"bag_{storage}", topics, store, storage=storage)
+
+
+def states(log, *, stamp=lambda ns: ns, efforts=None, **more):
+    """Return JointStates; those of a log of commands have no efforts unless they are asked for."""
+    header = ros2_header(ros2_store())
+    how = {"efforts": log.command is None if efforts is None else efforts, **more}
+    return list(joint_states(ros2_store(), log, lambda ns: header(stamp(ns)), **how))
 
 
 def said(log):
@@ -378,10 +355,12 @@ def said(log):
 
 
 def test_commands_of_a_controller_without_names_or_stamps(tmp_path, sent):
-    """In an order that is not the model's: the joint is that whose positions follow."""
+    """They are in another order than the model's; positions that follow tell the joint."""
     told = numbers(sent, (1, 0), late=0.001)
-    empty = states(sent, efforts=np.full(sent.position.shape, np.nan))
-    path = bag(tmp_path, joint_states=empty, position_controller__commands=told)
+    empty = replace(sent, effort=np.full(sent.position.shape, np.nan))
+    path = bag(
+        tmp_path, joint_states=states(empty, efforts=True), position_controller__commands=told
+    )
     read = read_log(path, joints=JOINTS)
     assert np.isnan(read.command[0]).all()  # as no command was there yet
     assert np.abs(read.command - motion(read.time - 0.001))[1:].max() < 1e-4
@@ -394,7 +373,7 @@ def test_commands_of_a_controller_without_names_or_stamps(tmp_path, sent):
 
 
 def test_receipt_is_put_on_the_clock_of_a_simulation(tmp_path, sent):
-    """Of half the speed, which began at 3 s."""
+    """Its clock has half the speed, and began at 3 s."""
     stamped = states(sent, stamp=lambda ns: 3_000_000_000 + (ns - EPOCH) // 2)
     read = read_log(bag(tmp_path, joint_states=stamped, arm__commands=numbers(sent)), joints=JOINTS)
     assert read.time[-1] == pytest.approx(0.5 * sent.time[-1])
@@ -408,19 +387,17 @@ def test_commands_as_joint_states_by_the_name_of_their_topic(tmp_path, sent):
 
 
 def test_commands_as_trajectories_of_a_point_hold_in_pauses(tmp_path, sent):
-    types, store = ros2_store().types, ros2_store()
-    point, none = types["trajectory_msgs/msg/JointTrajectoryPoint"], np.zeros(0)
+    types, none = ros2_store().types, np.zeros(0)
+    Trajectory, Point = (
+        types[f"trajectory_msgs/msg/{name}"] for name in ("JointTrajectory", "JointTrajectoryPoint")
+    )
     soon = types["builtin_interfaces/msg/Duration"](0, 0)
+    header = ros2_header(ros2_store())(0)
     told = [
-        (
-            ns,
-            types["trajectory_msgs/msg/JointTrajectory"](
-                ros2_header(store)(0), list(JOINTS), [point(data.data, none, none, none, soon)]
-            ),
-        )
-        for ns, data in numbers(sent)
+        (ns, Trajectory(header, list(JOINTS), [Point(data.data, none, none, none, soon)]))
+        for k, (ns, data) in enumerate(numbers(sent))
+        if not 100 < k < 160
     ]
-    told = [each for k, each in enumerate(told) if not 100 < k < 160]
     path = bag(tmp_path, joint_states=states(sent), arm__joint_trajectory=told)
     read = read_log(path, joints=JOINTS)
     expected = sent.command.copy()
@@ -429,32 +406,20 @@ def test_commands_as_trajectories_of_a_point_hold_in_pauses(tmp_path, sent):
 
 
 def test_currents_of_interfaces(tmp_path, sent):
-    """DynamicJointState of ros2_control, which has all of it."""
-    from rosbags.typesys import get_types_from_msg
-
-    store = ros2_store()
-    text = "std_msgs/Header header\nstring[] joint_names\nInterfaceValue[] interface_values\n"
-    values = "string[] interface_names\nfloat64[] values\n"
-    store.register(get_types_from_msg(values, "control_msgs/msg/InterfaceValue"))
-    store.register(get_types_from_msg(text, "control_msgs/msg/DynamicJointState"))
-    one, state = (
-        store.types[f"control_msgs/msg/{n}"] for n in ("InterfaceValue", "DynamicJointState")
-    )
-    names = ["position", "velocity", "current"]
-    told = [
-        (
-            ns,
-            state(
-                message.header,
-                list(JOINTS),
-                [one(names, np.array([q, np.nan, i])) for q, i in zip(p, c, strict=True)],
-            ),
-        )
-        for (ns, message), p, c in zip(states(sent), sent.position, sent.effort, strict=True)
-    ]
+    """DynamicJointState of ros2_control has all interfaces of each joint."""
+    kinds = {
+        "control_msgs/msg/InterfaceValue": "string[] interface_names\nfloat64[] values\n",
+        "control_msgs/msg/DynamicJointState": "std_msgs/Header header\nstring[] joint_names\n"
+        "InterfaceValue[] interface_values\n",
+    }
+    store = ros2_store(*kinds.items())
+    Values, State = (store.types[kind] for kind in kinds)
+    names, told = ["position", "velocity", "current"], []
+    for (ns, message), *each in zip(states(sent), sent.position, sent.effort, strict=True):
+        values = [Values(names, np.array([q, np.nan, i])) for q, i in zip(*each, strict=True)]
+        told.append((ns, State(message.header, list(JOINTS), values)))
     for storage in ("MCAP", "SQLITE3"):
-        topics = {"/joint_states": states(sent), "/dynamic_joint_states": told}
-        path = write_rosbag2(tmp_path / storage, topics, store, storage=storage)
+        path = bag(tmp_path, store, storage, joint_states=states(sent), dynamic_joint_states=told)
         read = read_log(path, joints=JOINTS)
         assert np.array_equal(read.effort, sent.effort)
         assert set(read.effort_kinds.values()) == {"current"}

@@ -1,10 +1,11 @@
 """Currents, voltages, duty cycles, commands and temperatures: read for what they are."""
 
-import dataclasses
 from dataclasses import replace
 
 import numpy as np
+import pandas
 import pytest
+from scipy.io import savemat
 
 from geodrake.diagnosis import corrected
 from geodrake.diagnosis.columns.finding import ColumnFinding
@@ -43,15 +44,24 @@ def own(**quantities):
     }
 
 
-def write(path, columns):
-    rows = zip(*(values.tolist() for values in columns.values()), strict=True)
-    lines = [",".join("" if np.isnan(x) else repr(x) for x in row) for row in rows]
-    path.write_text("\n".join([",".join(columns), *lines]) + "\n", encoding="utf-8")
-    return path
-
-
 def said(log):
     return " | ".join(log.notes)
+
+
+def saved(path, columns):
+    """Write columns to a file of one of four formats."""
+    if path.suffix == ".npz":
+        np.savez(path, **columns)
+    elif path.suffix == ".mat":
+        parts = {}
+        for name, values in columns.items():
+            joint, _, quantity = name.partition(".")
+            parts |= {joint: {**parts.get(joint, {}), quantity: values} if quantity else values}
+        savemat(path, parts)
+    else:
+        table = pandas.DataFrame(columns)
+        table.to_parquet(path) if path.suffix == ".parquet" else table.to_csv(path, index=False)
+    return path
 
 
 def test_commands_stand_for_efforts():
@@ -67,23 +77,7 @@ def test_commands_stand_for_efforts():
 @pytest.mark.parametrize("suffix", [".csv", ".npz", ".parquet", ".mat"])
 def test_own_names_in_files_and_back(tmp_path, suffix):
     columns = {**own(position=Q), "shoulder.current": S[:, 0], "elbow.command": C[:, 1]}
-    path = tmp_path / f"log{suffix}"
-    if suffix == ".csv":
-        write(path, columns)
-    elif suffix == ".npz":
-        np.savez(path, **columns)
-    elif suffix == ".parquet":
-        pytest.importorskip("pandas").DataFrame(columns).to_parquet(path)
-    else:
-        from scipy.io import savemat
-
-        parts = {j: {} for j in JOINTS}
-        for name, values in columns.items():
-            joint, _, quantity = name.partition(".")
-            if quantity:
-                parts[joint][quantity] = values
-        savemat(path, {"time": TIME, **parts})
-    log = read_log(path, joints=JOINTS)
+    log = read_log(saved(tmp_path / f"log{suffix}", columns), joints=JOINTS)
     check_mixed(log)
     for again in ("again.csv", "again.npz"):
         write_log(log, tmp_path / again)
@@ -92,7 +86,7 @@ def test_own_names_in_files_and_back(tmp_path, suffix):
 
 
 def check_mixed(log):
-    """Currents at the first joint, and commands alone at the second."""
+    """Check that the first joint has currents, and the second commands alone."""
     assert log.joints == JOINTS
     assert log.effort_kinds == {"shoulder": "current"}
     assert np.array_equal(log.effort[:, 0], S[:, 0])
@@ -120,35 +114,30 @@ def test_commands_beside_efforts_only_where_they_are_meant():
     log = log_of_frame(told, joints=JOINTS)
     assert log.command is None and "target_q_0" in said(log)
     assert np.array_equal(log_of_frame(own(position=Q, effort=S, command=C)).command, C)
-    mapping = ColumnMapping(
-        {
-            joint: {
-                "position": MappedColumn(f"q_{k}"),
-                "effort": MappedColumn(f"tau_{k}"),
-                "command": MappedColumn(f"target_q_{k}"),
-            }
-            for k, joint in enumerate(JOINTS)
-        },
-        MappedColumn("time"),
-    )
+    names = {"position": "q_{}", "effort": "tau_{}", "command": "target_q_{}"}
+    columns = {
+        joint: {quantity: MappedColumn(form.format(k)) for quantity, form in names.items()}
+        for k, joint in enumerate(JOINTS)
+    }
+    mapping = ColumnMapping(columns, MappedColumn("time"))
     assert np.array_equal(log_of_frame(told, reading=Reading(mapping=mapping)).command, C)
-    log = log_of_frame(told, joints=JOINTS, reading=Reading(kinds={"": "command"}))
+    commands = Reading(kinds={"": "command"})
+    log = log_of_frame(told, joints=JOINTS, reading=commands)
     assert np.array_equal(log.command, C)
     assert np.isnan(log.effort).all() and not any("no servo" in note for note in log.notes)
-    log = log_of_frame(frame(q_J=Q, tau_J=S), joints=JOINTS, reading=Reading(kinds={"": "command"}))
+    log = log_of_frame(frame(q_J=Q, tau_J=S), joints=JOINTS, reading=commands)
     assert "no servo commands were logged, so --kind command has no effect" in log.notes
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".npz"])
 def test_empty_efforts_give_way(tmp_path, suffix):
-    nothing, path = np.full_like(S, np.nan), tmp_path / f"log{suffix}"
+    nothing = np.full_like(S, np.nan)
     for columns in (
         frame(q_J=Q, effort_J=nothing, target_q_J=C),
         own(position=Q, effort=nothing, command=C),
         frame(q_J=Q, effort_J=nothing, current_J=S),
     ):
-        np.savez(path, **columns) if suffix == ".npz" else write(path, columns)
-        log = read_log(path, joints=JOINTS)
+        log = read_log(saved(tmp_path / f"log{suffix}", columns), joints=JOINTS)
         assert log.joints == JOINTS and not log.standing
         if log.effort_kinds:
             assert "effort_0, effort_1 do not describe efforts" in said(log)
@@ -185,12 +174,12 @@ def test_units_of_signals(form, units, kind, factor):
 
 def test_commands_are_in_the_unit_of_positions_unless_they_say_another():
     deg, told = np.rad2deg(Q), np.rad2deg(C)
-    log = log_of_frame(frame(q_J=deg, cmd_J=told), reading=Reading(units={"position": "deg"}))
-    assert np.allclose(log.command, C)
-    log = log_of_frame(frame(q_deg_J=deg, cmd_J=told))
-    assert np.allclose(log.command, C)
-    log = log_of_frame(frame(q_deg_J=deg, cmd_J=C), reading=Reading(units={"command": "rad"}))
-    assert np.allclose(log.command, C)
+    for columns, units in (
+        (frame(q_J=deg, cmd_J=told), {"position": "deg"}),
+        (frame(q_deg_J=deg, cmd_J=told), {}),
+        (frame(q_deg_J=deg, cmd_J=C), {"command": "rad"}),
+    ):
+        assert np.allclose(log_of_frame(columns, reading=Reading(units=units)).command, C)
 
 
 def test_known_gains_make_efforts_and_say_how_well():
@@ -305,17 +294,16 @@ def test_commands_that_say_nothing():
             check_commands(log(other))
 
 
-def test_velocities_that_are_none_are_left_out(tmp_path):
-    columns = frame(q_J=Q, v_J=0.0 * Q, effort_J=S)
-    log = read_log(write(tmp_path / "log.csv", columns), joints=JOINTS)
+def test_velocities_that_are_none_are_left_out(read_table):
+    log = read_table(frame(q_J=Q, v_J=0.0 * Q, effort_J=S), JOINTS)
     assert log.velocity is None
     assert "velocity is not used, as it is unrelated to positions" in log.notes
     noise = np.random.default_rng(5).normal(0.0, 1e-3, Q.shape)
     angle = 8.0 * np.pi * TIME[:, None] + [0.0, 1.0]  # a turn in 25 rows
     columns = frame(q_J=np.sin(angle) + noise, v_J=8.0 * np.pi * np.cos(angle), effort_J=S)
-    assert read_log(write(tmp_path / "log.csv", columns), joints=JOINTS).velocity is not None
+    assert read_table(columns, JOINTS).velocity is not None
     columns = frame(q_J=np.rint(2048.0 + 651.9 * Q), v_J=np.rint(41.7 * V), effort_J=S)
-    log = read_log(write(tmp_path / "log.csv", columns), joints=JOINTS)
+    log = read_table(columns, JOINTS)
     np.testing.assert_allclose(log.velocity, V, atol=0.02)
     assert "velocity is in 0.229 rpm, as velocities are" in said(log)
 
@@ -346,12 +334,11 @@ def test_positions_of_leaders_are_commands_of_followers():
 
 @pytest.mark.parametrize("joint", ["elbow", "gripper"])
 def test_normalized_positions_are_shares_of_the_range(joint):
-    """As LeRobot's: from −100 to 100 of joints, and from 0 to 100 of grippers."""
+    """LeRobot's are from −100 to 100 for joints, and from 0 to 100 for grippers."""
     share = 50.0 * (1.0 + np.sin(TIME))
     columns = {"time": TIME, f"{joint}.pos": share, f"action.{joint}": share}
     units, limits = {"position": "normalized"}, {joint: (-2.5, 1.5)}
-    reading = Reading(units=units, limits=limits)
-    log = log_of_frame(columns, joints=[joint], reading=reading)
+    log = log_of_frame(columns, joints=[joint], reading=Reading(units=units, limits=limits))
     low, high = (-2.5, 1.5) if joint == "gripper" else (-0.5, 1.5)
     expected = low + (high - low) * share / 100.0
     np.testing.assert_allclose(log.position[:, 0], expected, atol=1e-9)
@@ -395,42 +382,29 @@ def test_messages_stay_good_where_there_is_neither():
 
 
 WHOLE = np.rint(100.0 * S)
-"""Numbers of a register, of either sign."""
+ONE_SIGN = np.column_stack([WHOLE[:, 0], -1.0 - np.abs(WHOLE[:, 0])])
+LOAD = np.rint(900.0 * S / np.abs(S).max())
+COMPLEMENT, MAGNITUDE = "two's complement of 16 bits", "sign and magnitude with the sign in bit 10"
+REGISTERS = {
+    "complement": (WHOLE, np.mod(WHOLE, 2.0**16), f"{COMPLEMENT}: 65535 is -1"),
+    "complement of another zero": (WHOLE - 1000.0, np.mod(WHOLE - 1000.0, 2.0**16), COMPLEMENT),
+    "sign and magnitude": (WHOLE, np.where(WHOLE < 0.0, 2.0**10 - WHOLE, WHOLE), MAGNITUDE),
+    "beyond half of the range": (LOAD, np.where(LOAD < 0.0, 1024 - LOAD, LOAD), MAGNITUDE),
+    "a joint with one sign": (ONE_SIGN, np.where(ONE_SIGN < 0.0, 2.0**10 - ONE_SIGN, ONE_SIGN), ""),
+}
+"""Values, what a program wrote that ignored their sign, and how they are read."""
 
 
-@pytest.mark.parametrize(
-    ("written", "words"),
-    [
-        (np.mod(WHOLE, 2.0**16), "two's complement of 16 bits: 65535 is -1"),
-        (
-            np.where(WHOLE < 0.0, 2.0**10 - WHOLE, WHOLE),
-            "sign and magnitude with the sign in bit 10",
-        ),
-        (np.mod(WHOLE - 1000.0, 2.0**16), "two's complement of 16 bits"),
-    ],
-)
-def test_registers_that_were_read_without_their_sign(tmp_path, written, words):
-    path = write(tmp_path / "log.csv", frame(q_J=Q, pwm_J=written))
-    log = read_log(path, joints=JOINTS)
-    assert np.ptp(log.effort - WHOLE) == 0.0
+@pytest.mark.parametrize("kind", REGISTERS)
+def test_registers_that_were_read_without_their_sign(read_table, kind):
+    values, written, words = REGISTERS[kind]
+    log = read_table(frame(q_J=Q, pwm_J=written), JOINTS)
+    assert np.array_equal(log.effort, values)
     assert f"'pwm_0' is read as {words}" in said(log)
 
 
-def test_loads_of_servos_may_pass_half_of_their_range(tmp_path):
-    load = np.rint(900.0 * S / np.abs(S).max())
-    path = write(tmp_path / "log.csv", frame(q_J=Q, pwm_J=np.where(load < 0, 1024 - load, load)))
-    assert np.array_equal(read_log(path, joints=JOINTS).effort, load)
-
-
-def test_a_register_that_has_one_sign_only_is_as_those_of_other_joints(tmp_path):
-    told = np.column_stack([WHOLE[:, 0], -1.0 - np.abs(WHOLE[:, 0])])
-    written = np.where(told < 0.0, 2.0**10 - told, told)
-    path = write(tmp_path / "log.csv", frame(q_J=Q[:, :2], pwm_J=written))
-    assert np.array_equal(read_log(path, joints=JOINTS[:2]).effort, told)
-
-
 def test_whole_numbers_of_a_wide_range_are_no_registers():
-    """Half of what a register could hold is never visited; positions hold no magnitudes."""
+    """They never reach half of what a register can hold; positions have no magnitudes."""
     for numbers in (np.abs(WHOLE), np.rint(65535.0 * (0.5 + Q / 2.1))):
         log = log_of_frame(frame(q_J=Q, pwm_J=numbers), joints=JOINTS)
         assert np.array_equal(log.effort, numbers)
@@ -444,45 +418,39 @@ def test_whole_numbers_of_a_wide_range_are_no_registers():
 TICKS = np.rint(2048.0 + Q / (2.0 * np.pi) * 4096.0)
 
 
-def test_positions_in_ticks_of_servos(tmp_path):
-    path = write(tmp_path / "log.csv", frame(q_J=TICKS, goal_position_J=TICKS[::-1]))
-    log = read_log(path, joints=JOINTS)
+def test_positions_in_ticks_of_servos(read_table):
+    columns = frame(q_J=TICKS, goal_position_J=TICKS[::-1])
+    log = read_table(columns, JOINTS)
     np.testing.assert_allclose(log.position, Q, atol=np.pi / 4096.0)
     np.testing.assert_array_equal(log.command, log.position[::-1])
     assert "with zero at tick 2048, as in drivers" in said(log)
-    asked = Reading(units={"position": "ticks", "command": "ticks"})  # as the note says
     assert "position=ticks,command=ticks for zero at 0" in said(log)
-    np.testing.assert_allclose(
-        read_log(path, joints=JOINTS, reading=asked).position, np.pi + Q, atol=1e-3
-    )
+    log = read_table(columns, JOINTS, units={"position": "ticks", "command": "ticks"})
+    np.testing.assert_allclose(log.position, np.pi + Q, atol=1e-3)
 
 
 @pytest.mark.parametrize("name", ["Axis0{}.Position [cnt]", "joint{}_count"])
-def test_counts_of_an_encoder_are_shares_of_a_turn(tmp_path, name):
+def test_counts_of_an_encoder_are_shares_of_a_turn(read_table, name):
     columns = frame(effort_J=S)
     columns |= {name.format(k): column for k, column in enumerate(100.0 * TICKS.T)}
-    path = write(tmp_path / "log.csv", columns)
-    with pytest.raises(
-        LogError, match=r"in counts of unknown resolution.*--units position=rev/4096"
-    ):
-        read_log(path, joints=JOINTS)
-    reading = Reading(units={"position": "rev/409600@204800"})
-    log = read_log(path, joints=JOINTS, reading=reading)
+    words = r"in counts of unknown resolution.*--units position=rev/4096"
+    with pytest.raises(LogError, match=words):
+        read_table(columns, JOINTS)
+    log = read_table(columns, JOINTS, units={"position": "rev/409600@204800"})
     np.testing.assert_allclose(log.position, Q, atol=np.pi / 4096.0)
 
 
-def test_the_zero_of_ticks_is_where_the_model_has_its_limits(tmp_path):
-    path = write(tmp_path / "log.csv", frame(q_J=TICKS, effort_J=S))
+def test_the_zero_of_ticks_is_where_the_model_has_its_limits(read_table):
     for low, high, zero in ((-0.1, 6.2, np.pi), (-2.0, 2.0, 0.0), (7.0, 8.0, 0.0)):
-        reading = Reading(limits=dict.fromkeys(JOINTS, (low, high)))
-        log = read_log(path, joints=JOINTS, reading=reading)
+        limits = dict.fromkeys(JOINTS, (low, high))
+        log = read_table(frame(q_J=TICKS, effort_J=S), JOINTS, limits=limits)
         np.testing.assert_allclose(log.position, zero + Q, atol=np.pi / 4096.0)
         assert ("tick 0, as the model's limits suggest" in said(log)) == (zero > 0.0)
 
 
 def test_a_mapping_of_ticks_says_their_zero(tmp_path):
-    """A gain, such as that of a joint that is reversed, turns angles and not ticks."""
-    path = write(tmp_path / "log.csv", frame(q_J=TICKS, effort_J=S))
+    """The gain of a joint that is reversed applies to angles, not to ticks."""
+    path = saved(tmp_path / "log.csv", frame(q_J=TICKS, effort_J=S))
     found = inspect_log(path, joints=JOINTS)
     reversed_too = [replace(each, factor=-each.factor) for each in found.columns]
     for columns, sign in ((found.columns, 1.0), (reversed_too, -1.0)):
@@ -494,20 +462,18 @@ def test_a_mapping_of_ticks_says_their_zero(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("positions", "units"),
+    ("columns", "units"),
     [
-        (TICKS + 0.5, {}),
-        (TICKS - 3000.0, {}),
-        (np.rint(180.0 + 180.0 * Q), {}),
-        (TICKS, {"position": "rad"}),
+        (frame(q_J=TICKS + 0.5, effort_J=S), {}),
+        (frame(q_J=TICKS - 3000.0, effort_J=S), {}),
+        (frame(q_J=np.rint(180.0 + 180.0 * Q), effort_J=S), {}),
+        (frame(q_J=TICKS, effort_J=S), {"position": "rad"}),
+        (own(position=TICKS, effort=S), {}),  # geodrake's own names hold radians
     ],
 )
-def test_other_positions_are_no_ticks(tmp_path, positions, units):
-    path = write(tmp_path / "log.csv", frame(q_J=positions, effort_J=S))
-    log = read_log(path, joints=JOINTS, reading=Reading(units=units))
-    np.testing.assert_array_equal(log.position, positions)
-    path = write(path, own(position=TICKS, effort=S))  # geodrake's own names hold radians
-    np.testing.assert_array_equal(read_log(path, joints=JOINTS).position, TICKS)
+def test_other_positions_are_no_ticks(read_table, columns, units):
+    log = read_table(columns, JOINTS, units=units)
+    np.testing.assert_array_equal(log.position, np.column_stack([*columns.values()][1:3]))
 
 
 V = np.array([2.0, 3.0]) * np.cos(TIME[:, None] * np.array([2.0, 3.0]))
@@ -535,23 +501,20 @@ UNITS = {
     "changes in a clock ten times as slow": ({"q_J": Q, "v_J": 1e-2 * V}, 1.0, 1e-2),
     "in rad as asked": ({"q_J": DEG * Q}, 1.0, None),
 }
-"""Columns -> how many of their units a rad is, or 1 if that is not certain; and so of speeds."""
+"""Columns, and by which factors their positions and velocities are found to be too large."""
 
 
 @pytest.mark.parametrize("kind", UNITS)
-def test_units_that_nobody_says_are_converted_where_values_are_certain(tmp_path, kind):
+def test_units_that_nobody_says_are_converted_where_values_are_certain(read_table, kind):
     told, angle, speed = UNITS[kind]
-    path = write(tmp_path / "log.csv", frame(**told, effort_J=S))
+    columns, given = frame(**told, effort_J=S), next(iter(told.values()))
     units = {"position": "rad"} if "asked" in kind else {}
-    reading = Reading(limits=dict.fromkeys(JOINTS, (-2.0, 2.0)), units=units)
-    log = read_log(path, joints=JOINTS, reading=reading)
-    given = next(iter(told.values()))
+    how = {"limits": dict.fromkeys(JOINTS, (-2.0, 2.0)), "units": units}
+    log = read_table(columns, JOINTS, **how, sliding=frozenset([JOINTS[1]]))
+    np.testing.assert_allclose(log.position[:, 1], given[:, 1])
+    log = read_table(columns, JOINTS, **how)
     np.testing.assert_allclose(log.position, given / angle, atol=1e-12)
     assert ("position is in" in said(log)) == (angle != 1.0)
-    sliding = replace(reading, sliding=frozenset([JOINTS[1]]))
-    log = read_log(path, joints=JOINTS, reading=sliding)
-    np.testing.assert_allclose(log.position[:, 1], given[:, 1])
-    log = read_log(path, joints=JOINTS, reading=reading)
     if speed is not None:
         np.testing.assert_allclose(log.velocity, speed * V, rtol=1e-9, atol=1e-12)
     if log.command is not None:
@@ -579,7 +542,7 @@ def test_a_log_keeps_them(tmp_path, suffix):
 
 
 def frame_with(form, warmth):
-    """Columns of another logger, of a form of names."""
+    """Return the columns of another logger, whose temperatures have names of a form."""
     frame = {"time": CLOCK}
     for name, values in (("q_J", SWING), ("tau_J", np.cos(SWING)), (form, warmth)):
         frame |= {name.replace("J", str(k)): values[:, k] for k in range(2)}
@@ -599,17 +562,18 @@ def test_degrees_of_fahrenheit_are_read(unit):
 
 @pytest.mark.parametrize("numbered", [False, True])
 def test_slow_ones_and_time_may_be_named_by_a_mapping_alone(tmp_path, numbered):
-    """One a second, in a file of their own, beside motions at 100 Hz."""
-    slow = {"moment": CLOCK[::100], "noise": 0.0 * CLOCK[::100]}
-    slow |= {"drive 7": WARMTH[::100, 0], "drive 8": WARMTH[::100, 1]}
+    """Temperatures are in a file of their own, one a second, beside motions at 100 Hz."""
+    slow = {"noise": 0.0 * CLOCK, "drive 7": WARMTH[:, 0], "drive 8": WARMTH[:, 1]}
     quick = log_with(None).columns()
-    names = ["moment", *(name for name in quick if name != "time"), *list(slow)[1:]]
+    del quick["time"]
+    names = ["moment", *quick, *slow]
 
     def column(name):
         return MappedColumn(1 + names.index(name) if numbered else name)
 
-    np.savez(tmp_path / "motion.npz", moment=1e3 * quick.pop("time"), **quick)
-    np.savez(tmp_path / "drives.npz", **{**slow, "moment": 1e3 * slow["moment"]})
+    np.savez(tmp_path / "motion.npz", moment=1e3 * CLOCK, **quick)
+    rare = {name: values[::100] for name, values in slow.items()}
+    np.savez(tmp_path / "drives.npz", moment=1e3 * CLOCK[::100], **rare)
     joints = {
         joint: {q: column(f"{joint}.{q}") for q in ("position", "effort")}
         | {"temperature": column(drive)}
@@ -633,20 +597,16 @@ def test_readings_of_sensors_that_fail_are_none(code):
     assert list(courses.courses) == ["shoulder"]
     found = courses.at(CLOCK, ["shoulder"])
     assert found.min() > 29.0 and found.max() < 1.0 + WARMTH[:, 0].max()
-    cold = np.clip(np.round(WARMTH - 30.0), -3.0, 3.0)
-    np.testing.assert_array_equal(
-        Temperatures.of(JOINTS, CLOCK, cold).courses["shoulder"][0].size, np.unique(CLOCK // 1).size
-    )
+    cold = Temperatures.of(JOINTS, CLOCK, np.clip(np.round(WARMTH - 30.0), -3.0, 3.0))
+    assert cold.courses["shoulder"][0].size == np.unique(CLOCK // 1).size
 
 
 def test_a_prepared_log_says_which_sensors_fail():
-    readings = WARMTH.copy()
-    readings[:, 1] = 255.0
-    notes = prepare_logs([log_with(readings)], bandwidth=5.0)[0].notes
-    assert "temperature of elbow is not used: the sensor fails" in notes
-    assert not any(
-        "sensor" in note for note in prepare_logs([log_with(WARMTH)], bandwidth=5.0)[0].notes
-    )
+    broken = np.where([False, True], 255.0, WARMTH)
+    for readings, fails in ((broken, True), (WARMTH, False)):
+        notes = prepare_logs([log_with(readings)], bandwidth=5.0)[0].notes
+        assert ("temperature of elbow is not used: the sensor fails" in notes) == fails
+        assert any("sensor" in note for note in notes) == fails
 
 
 def test_columns_of_swapped_joints_take_theirs_along():
@@ -655,7 +615,6 @@ def test_columns_of_swapped_joints_take_theirs_along():
 
 
 def test_a_prepared_log_knows_them_by_time_stamp():
-    log = dataclasses.replace(log_with(WARMTH), time=CLOCK + 100.0)
-    trajectory = prepare_logs([log], bandwidth=5.0)[0]
-    found = trajectory.temperature(np.array([105.0, 110.0]))
+    log = replace(log_with(WARMTH), time=CLOCK + 100.0)
+    found = prepare_logs([log], bandwidth=5.0)[0].temperature(np.array([105.0, 110.0]))
     np.testing.assert_allclose(found, [[35.0, 42.5], [40.0, 40.0]], atol=0.05)
