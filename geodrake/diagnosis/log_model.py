@@ -645,7 +645,7 @@ class LogModel:
             scale = np.sqrt(np.square(root).sum(axis=0))
             correlations = (root / scale).T @ (root / scale) + 1e-9 * np.eye(len(scale))
             draws = _DRAWS @ np.linalg.cholesky(correlations).T
-            share = calc_physical_share(mean + scale * draws, _PSEUDO.reshape(len(_PSEUDO), -1))
+            share = calc_physical_share(mean + scale * draws, _PSEUDO)
             if share > 0.0:
                 total += 2.0 * np.log(share)
             else:  # use the distance to the nearest physical body
@@ -715,8 +715,10 @@ class LogModel:
             predicted = efforts[:, index] - np.concatenate(residuals)
             turns = np.concatenate(self._turns[j])
             counted = turns == (block >= len(self.rows)) if j in self._reversing else turns | True
-            signals = time, predicted, contiguous(efforts), counted
-            change = calc_noise_changes(signals, index, lags - lags[index])
+            counted_rows, period = np.flatnonzero(counted), float(np.median(np.diff(time)))
+            squares = np.square(efforts - predicted[:, None])
+            signals = time, predicted, contiguous(efforts), contiguous(squares)
+            change = calc_noise_changes(signals, counted_rows, index, lags - lags[index], period)
             at = self._ends[j] + np.arange(len(change))
             scale = self.block_rows[block] / counted.sum()
             self.grams[block, at, at] = self._powers[block] - change * scale

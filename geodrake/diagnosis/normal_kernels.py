@@ -45,24 +45,29 @@ def calc_packed(grams: Array, places: Indices, known: Packed) -> Packed:
     _, known_ends, known_lower = known
     count, size = 0, 0
     for j in range(len(places)):
-        affected = np.sum(places[j] >= 0)
+        affected = 0
+        for k in range(places.shape[1]):
+            affected += places[j, k] >= 0
         count, size = count + affected, size + affected * (affected + 1) // 2
     columns, ends = np.empty(count, np.intp), np.zeros(len(places) + 1, np.intp)
     lower, at, known_at = np.empty(size), 0, 0
     for j in range(len(places)):
-        indices = np.flatnonzero(places[j] >= 0)
-        local = places[j][indices]
-        ends[j + 1] = ends[j] + len(indices)
-        columns[ends[j] : ends[j + 1]] = indices
+        end = ends[j]
+        for k in range(places.shape[1]):
+            if places[j, k] >= 0:
+                columns[end] = k
+                end += 1
+        ends[j + 1] = end
         first = known_ends[j + 1] - known_ends[j]
         shared = first * (first + 1) // 2
-        lower[at : at + shared] = known_lower[known_at : known_at + shared]
+        for k in range(shared):
+            lower[at + k] = known_lower[known_at + k]
         at, known_at = at + shared, known_at + shared
-        for i in range(first, len(indices)):
-            row = grams[j, local[i]]
-            for k in range(i + 1):
-                lower[at + k] = row[local[k]]
-            at += i + 1
+        for i in range(ends[j] + first, end):
+            row = grams[j, places[j, columns[i]]]
+            for k in range(ends[j], i + 1):
+                lower[at + k - ends[j]] = row[places[j, columns[k]]]
+            at += i + 1 - ends[j]
     return columns, ends, lower
 
 
@@ -138,27 +143,28 @@ def calc_most_probable(
     n, count = len(pull), len(rows)
     weights, inertia, passive = np.empty(count), np.ones(count), np.zeros(count, np.bool_)
     for j in range(count):
-        passive[j] = np.any(inertias[j] != 0.0)
+        for i in range(n):
+            passive[j] |= inertias[j, i] != 0.0
     x, logarithm, gram, factor = np.zeros(n), 0.0, information.copy(), information
     for _ in range(_MOST_FITS):
         gram, right = information.copy(), pull.copy()
         for j in range(count):
             weights[j] = samples[j] / rows[j] / max(variance[j], floor[j])
-            if passive[j]:
-                right += samples[j] / inertia[j] * inertias[j]
             for i in range(n):
                 right[i] += weights[j] * moments[j, i]
+                if passive[j]:
+                    right[i] += samples[j] / inertia[j] * inertias[j, i]
         add_normal(packed, weights, gram)
         x, logarithm, factor = calc_solution(gram, right, RIDGE, groups)
         squares, before, settled = calc_squares(blocks, x), variance, True
-        variance = squares / rows
+        variance = np.empty(count)
         for j in range(count):
-            i = quieter[j]
+            i, variance[j] = quieter[j], squares[j] / rows[j]
             if variance[j] < variance[i]:
                 variance[i] = variance[j] = (squares[i] + squares[j]) / (rows[i] + rows[j])
         for j in range(count):
             if passive[j]:
-                inertia[j] = max(np.sum(inertias[j] * x), LEAST_INERTIA)
+                inertia[j] = max(inertias[j] @ x, LEAST_INERTIA)
             variance[j] = max(variance[j], floor[j])
             settled = settled and abs(np.log(variance[j] / before[j])) < _TOLERANCE
         if settled:
@@ -281,45 +287,45 @@ def calc_gains(
 
 @compiled
 def calc_noise_changes(
-    signals: tuple[Array, Array, Array, NDArray[np.bool_]], current: int, lags: Array
+    signals: tuple[Array, Array, Array, Array],
+    rows: Indices,
+    current: int,
+    lags: Array,
+    period: float,
 ) -> Array:
     """Return (d,) the part of each fall in squared errors due to noise at other instants; ≤ 0.
 
-    Rows have instants (K,), s, predictions (K,), efforts (K, d) at each lag (d,), s, relative to
-    column `own`, and flags (K,) of whether they count. For equal noise, the efforts of column `own`
-    are compared with predictions that are earlier by the lag, interpolated between four consecutive
-    rows.
+    Signals are instants (K,), s, predictions (K,), efforts (K, d) at each lag (d,), s, relative to
+    column `current`, and squared errors (K, d). `rows` count, at a typical `period`, s. For equal
+    noise, the efforts of the current column are compared with predictions that are earlier by the
+    lag, interpolated between four consecutive rows.
     """
-    time, predicted, efforts, counted = signals
-    changes, errors = np.zeros(len(lags)), np.square(efforts[:, current] - predicted)
-    rows = np.flatnonzero(counted)
-    typical_period = np.median(np.diff(time))
-    bound = _MOST_NOISE * np.sqrt(len(rows)) * np.mean(errors[rows])
+    (time, predicted, efforts, squares), changes, bound = signals, np.zeros(len(lags)), 0.0
+    for i in rows:
+        bound += _MOST_NOISE * squares[i, current] / np.sqrt(len(rows))
     for d in range(len(lags)):
         if lags[d] == 0.0:
             continue
-        count, change = 0, 0.0
+        count, change, all_rows = 0, 0.0, 0.0
         for i in rows:
-            if i == 0:
+            all_rows += squares[i, d] - squares[i, current]
+            own_period = time[i] - time[i - 1] if i > 0 else 0.0
+            if own_period <= 0.0:  # the next stretch
                 continue
-            period = time[i] - time[i - 1]
-            if period <= 0.0:  # the next stretch
-                continue
-            steps = int(np.floor(lags[d] / period))
-            first, x = i - steps - 2, 1.0 + steps - lags[d] / period
+            steps = int(np.floor(lags[d] / own_period))
+            first, x = i - steps - 2, 1.0 + steps - lags[d] / own_period
             if first < 0 or first + 3 >= len(time):
                 continue
             low, high = min(first, i - 1), max(first + 3, i)
-            if abs(time[high] - time[low] - (high - low) * period) > _LATE_ROW * period:
+            if abs(time[high] - time[low] - (high - low) * own_period) > _LATE_ROW * own_period:
                 continue
             p, q, r, s = predicted[first : first + 4]
             inner = (x - 2.0) * ((x + 1.0) * (x - 1.0) * q - (x + 1.0) * x * r) / 2.0
             shifted = inner + x * (x - 1.0) * ((x + 1.0) * s - (x - 2.0) * p) / 6.0
-            change += (efforts[i, current] - shifted) ** 2 - errors[i]
+            change += (efforts[i, current] - shifted) ** 2 - squares[i, current]
             count += 1
         if count:
-            all_rows = np.sum((np.square(efforts[:, d] - predicted) - errors)[rows])
-            limit = bound * abs(np.sin(np.pi * lags[d] / typical_period))
+            limit = bound * abs(np.sin(np.pi * lags[d] / period))
             changes[d] = min(max(all_rows - change * len(rows) / count, -limit), 0.0)
     return changes
 
@@ -338,16 +344,47 @@ def _is_body(matrix: Array) -> bool:
     return True
 
 
+@inlined
+def _write_pseudo_inertia(x: Array, basis: Array, out: Array) -> Array:
+    """Write and return the pseudo-inertia (4, 4), parameters (10,) times a basis (10, 4, 4)."""
+    for i in range(4):
+        for j in range(4):
+            out[i, j] = 0.0
+            for a in range(len(x)):
+                out[i, j] += x[a] * basis[a, i, j]
+    return out
+
+
 @compiled
 def calc_physical_share(parameters: Array, basis: Array) -> float:
-    """Return the share of parameters (N, 10) of physical bodies.
-
-    Parameters times a basis (10, 16) are pseudo-inertias.
-    """
-    physical = 0
+    """Return the share of parameters (N, 10) of physical bodies, with a basis (10, 4, 4)."""
+    physical, matrix = 0, np.empty((4, 4))
     for n in range(len(parameters)):
-        physical += _is_body((parameters[n] @ basis).reshape(4, 4))
+        physical += _is_body(_write_pseudo_inertia(parameters[n], basis, matrix))
     return physical / len(parameters)
+
+
+@inlined
+def _whiten(root: Array, matrix: Array) -> None:
+    """Replace a symmetric matrix A (4, 4) by L⁻¹ A L⁻ᵀ, with the lower triangle L of `root`."""
+    for _ in range(2):  # L⁻¹ A, transposed, and once more
+        for c in range(4):
+            for i in range(4):
+                for k in range(i):
+                    matrix[i, c] -= root[i, k] * matrix[k, c]
+                matrix[i, c] /= root[i, i]
+        for i in range(4):
+            for k in range(i):
+                matrix[i, k], matrix[k, i] = matrix[k, i], matrix[i, k]
+
+
+@inlined
+def _squared_distance(x: Array, y: Array, metric: Array) -> float:
+    total = 0.0
+    for a in range(len(x)):
+        for b in range(len(x)):
+            total += (x[a] - y[a]) * metric[a, b] * (x[b] - y[b])
+    return total
 
 
 @compiled
@@ -358,30 +395,50 @@ def calc_distance(mean: Array, inside: Array, precision: Array, basis: Array) ->
     parameters `inside` (10,) of a physical body, to within some tenths; the distance of `inside` is
     the upper bound. Parameters times a basis (10, 4, 4) are pseudo-inertias.
     """
-    x, offset = inside.copy(), inside - mean
-    farthest = float(offset @ (precision @ offset))
-    flat, barrier = basis.copy().reshape(len(x), -1), max(farthest, _LEAST_BARRIER)
-    if not _is_body((x @ flat).reshape(4, 4)):
+    x, farthest = inside.copy(), _squared_distance(inside, mean, precision)
+    barrier, matrix = max(farthest, _LEAST_BARRIER), np.empty((4, 4))
+    step, trial = np.empty(len(x)), np.empty(len(x))
+    if not _is_body(_write_pseudo_inertia(x, basis, matrix)):
         return farthest
     for _ in range(_MOST_BARRIERS):
         for _ in range(_MOST_STEPS):
-            inverse = np.linalg.inv((x @ flat).reshape(4, 4))
-            curvature = np.empty_like(flat)
-            for a in range(len(x)):
-                curvature[a] = (inverse @ basis[a] @ inverse).copy().reshape(-1)
-            slope = precision @ (x - mean) - barrier * (flat @ inverse.copy().reshape(-1))
-            step = -np.linalg.solve(precision + barrier * (curvature @ flat.T), slope)
-            decrement = np.sqrt(max(-float(slope @ step) / barrier, 0.0))
-            step /= 1.0 + decrement
+            decrement = calc_step(x, (mean, precision, basis, barrier), step)
+            share, change = 1.0 / (1.0 + decrement), 0.0
             for _ in range(_MOST_HALVINGS):
-                if _is_body(((x + step) @ flat).reshape(4, 4)):
-                    x += step
+                for a in range(len(x)):
+                    trial[a] = x[a] + share * step[a]
+                if _is_body(_write_pseudo_inertia(trial, basis, matrix)):
+                    x, trial = trial, x
                     break
-                step *= 0.5
-            if decrement < _NEAR or np.abs(step @ flat).max() < _ROUNDING:
+                share *= 0.5
+            _write_pseudo_inertia(step, basis, matrix)
+            for i in range(16):
+                change = max(change, share * abs(matrix[i // 4, i % 4]))
+            if decrement < _NEAR or change < _ROUNDING:
                 break
         if barrier <= _LEAST_BARRIER:
             break
         barrier = max(0.1 * barrier, _LEAST_BARRIER)
-    offset = x - mean
-    return min(float(offset @ (precision @ offset)), farthest)
+    return min(_squared_distance(x, mean, precision), farthest)
+
+
+@compiled
+def calc_step(x: Array, problem: tuple[Array, Array, Array, float], step: Array) -> float:
+    """Write the Newton step (10,) of `calc_distance`, and return the decrement.
+
+    The problem is the mean, the precision, the basis and the weight of log det.
+    """
+    (mean, precision, basis, barrier), root, gram = problem, np.empty((4, 4)), np.empty((10, 10))
+    white = basis.copy()
+    _solve_positive(_write_pseudo_inertia(x, basis, root), np.zeros(4))
+    for a in range(len(x)):
+        _whiten(root, white[a])
+        step[a] = barrier * np.trace(white[a])
+        for b in range(len(x)):
+            step[a] -= precision[a, b] * (x[b] - mean[b])
+        for b in range(a + 1):
+            gram[a, b] = precision[a, b]
+            for i in range(4):
+                for j in range(4):
+                    gram[a, b] += barrier * white[a, i, j] * white[b, i, j]
+    return float(np.sqrt(_solve_positive(gram, step)[0] / barrier))

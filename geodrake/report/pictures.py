@@ -333,7 +333,8 @@ def _draw(corners: Array, colors: Array, image: Any, buffer: Array) -> None:
                 inverse_depth = weight_a * a[2] + weight_b * b[2] + weight_c * c[2]
                 if inverse_depth > buffer[row, column]:
                     buffer[row, column] = inverse_depth
-                    image[row, column, :3] = colors[k]
+                    for channel in range(3):
+                        image[row, column, channel] = colors[k, channel]
                     image[row, column, 3] = 1.0
 
 

@@ -249,8 +249,9 @@ def test_noise_at_other_instants_is_no_evidence_of_a_delay():
         noise = low_pass.smooth(rng.normal(size=(12_000, 1)))[:, 0] / low_pass.noise_gain
         efforts = np.sin(time + late_by) + [noise[at + step] for step in steps]
         squares = np.square(efforts - np.sin(time)).sum(axis=1)
-        signals = time, np.sin(time), np.ascontiguousarray(efforts.T), np.ones(len(time), bool)
-        change = calc_noise_changes(signals, 6, late)
+        columns = [np.ascontiguousarray(x.T) for x in (efforts, np.square(efforts - np.sin(time)))]
+        signals, period = (time, np.sin(time), *columns), float(np.median(np.diff(time)))
+        change = calc_noise_changes(signals, np.arange(len(time)), 6, late, period)
         raw.append(squares - squares[6])
         left.append(squares - change - squares[6])
     lost = np.square(np.sin(time) - np.sin(time - late_by)).sum(axis=1)

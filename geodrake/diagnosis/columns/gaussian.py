@@ -108,54 +108,69 @@ def calc_most_probable(
     """Return the parameters (p,), mean squared errors (J,), and normal matrix (p, p).
 
     Each joint has a normal matrix (M, M) of all columns, their weights (2, M) for efforts and for
-    known payloads, and indices (2, M + 1) of parameters and of their columns, padded with −1. A and
-    b are a joint's normal equations, linearized at x. As gains multiply parameters, a step that
-    increases the cost is halved.
+    known payloads, and indices (2, M + 1) of parameters and of their columns, padded with −1. As
+    gains multiply parameters, a step that increases the cost is halved.
     """
-    (grams, sides, places), (start, mse) = joints, first
-    row_weights, (information, information_mean, lower) = samples[0], prior
-    n, size = len(grams), places.shape[2]
-    x, minimum, H = start.copy(), start.copy(), information.copy()
+    (_, _, places), (start, mse) = joints, first
+    information, information_mean, lower = prior
+    n, size = len(mse), places.shape[2]
+    origin, x, minimum, H = start.copy(), start.copy(), start.copy(), information.copy()
     active = np.zeros(len(start), np.bool_)
     lowest, highest = lower.copy(), np.full(len(x), np.inf)
-    lowest[gains], highest[gains] = -_LARGEST_ERROR, _LARGEST_ERROR
+    for k in gains:
+        lowest[k], highest[k] = -_LARGEST_ERROR, _LARGEST_ERROR
     A, b, errors = np.zeros((size, size)), np.zeros(size), np.empty(n)
     cost = calc_cost(joints, samples, prior, x, errors)
     for _ in range(_ROUNDS):
         H, right = information.copy(), information_mean.copy()
         for j in range(n):
-            m, p = np.sum(places[j, 1] >= 0), np.sum(places[j, 0] >= 0)
-            at, columns = places[j, 0, :p], places[j, 1, :m]
-            weights = calc_weights(sides[j, 1], columns, x, at)
-            error = x[at[m]] if p > m else 0.0
-            target = sides[j, 0] * np.exp(-error) - sides[j, 1] + error * weights
-            gram_target, gram_weights = grams[j] @ target, grams[j] @ weights
-            for i in range(m):
-                for k in range(m):
-                    A[i, k] = grams[j, columns[i], columns[k]]
-                b[i] = gram_target[columns[i]]
-                if p > m:
-                    A[i, m] = A[m, i] = gram_weights[columns[i]]
-            if p > m:
-                A[m, m], b[m] = weights @ gram_weights, weights @ gram_target
-            share = row_weights[j] / mse[j] * np.exp(2.0 * error)
-            for i in range(p):
+            at, share = known_places(places[j, 0]), samples[0][j] / mse[j]
+            share *= calc_equations(joints, j, x, (A, b))
+            for i in range(len(at)):
                 right[at[i]] += share * b[i]
-                for k in range(p):
+                for k in range(len(at)):
                     H[at[i], at[k]] += share * A[i, k]
         calc_bounded(H, right, (lowest, highest), minimum, active)
-        share, origin, previous_cost = 1.0, x, cost
+        share, previous_cost = 1.0, cost
+        for k in range(len(x)):
+            origin[k] = x[k]
         while True:
-            x = origin + share * (minimum - origin)
+            for k in range(len(x)):
+                x[k] = origin[k] + share * (minimum[k] - origin[k])
             cost = calc_cost(joints, samples, prior, x, errors)
             if cost < previous_cost or share == 0.0:
                 break
             share = 0.5 * share if share > 0.5**_HALVINGS else 0.0
-        change = np.abs(np.log(errors / mse)).max()
+        change = 0.0
+        for j in range(n):
+            change = max(change, abs(np.log(errors[j] / mse[j])))
         mse = errors.copy()
         if change < _TOLERANCE:
             break
     return x, mse, H
+
+
+@compiled
+def calc_equations(
+    joints: tuple[Array, Array, Indices], j: int, x: Array, out: tuple[Array, Array]
+) -> float:
+    """Write the normal equations A, b of a joint, linearized at x, and return their scale."""
+    (grams, sides, places), (A, b), error = joints, out, 0.0
+    at, columns = known_places(places[j, 0]), known_places(places[j, 1])
+    m, weights = len(columns), calc_weights(sides[j, 1], columns, x, at)
+    if len(at) > m:
+        error = x[at[m]]
+    target = np.empty(len(weights))
+    for k in range(len(target)):
+        target[k] = sides[j, 0, k] * np.exp(-error) - sides[j, 1, k] + error * weights[k]
+    gram_target, gram_weights = grams[j] @ target, grams[j] @ weights
+    for i in range(m):
+        for k in range(m):
+            A[i, k] = grams[j, columns[i], columns[k]]
+        b[i] = gram_target[columns[i]]
+        A[i, m] = A[m, i] = gram_weights[columns[i]]
+    A[m, m], b[m] = weights @ gram_weights, weights @ gram_target
+    return float(np.exp(2.0 * error))
 
 
 @compiled
@@ -170,12 +185,23 @@ def calc_cost(
     (grams, sides, places), (row_weights, rows, least) = joints, samples
     cost = x @ (prior[0] @ x) - 2.0 * (prior[1] @ x)
     for j in range(len(grams)):
-        m, p = np.sum(places[j, 1] >= 0), np.sum(places[j, 0] >= 0)
-        weights = calc_weights(sides[j, 1], places[j, 1, :m], x, places[j, 0, :p])
-        residual = sides[j, 0] - (np.exp(x[places[j, 0, m]]) if p > m else 1.0) * weights
+        at, columns = known_places(places[j, 0]), known_places(places[j, 1])
+        residual = calc_weights(sides[j, 1], columns, x, at)
+        gain = np.exp(x[at[-1]]) if len(at) > len(columns) else 1.0
+        for k in range(len(residual)):
+            residual[k] = sides[j, 0, k] - gain * residual[k]
         mse[j] = max(residual @ (grams[j] @ residual) / rows[j], least[j])
         cost += row_weights[j] * rows[j] * np.log(mse[j])
     return float(cost)
+
+
+@compiled
+def known_places(places: Indices) -> Indices:
+    """Return the places before the padding with −1."""
+    count = 0
+    while count < len(places) and places[count] >= 0:
+        count += 1
+    return places[:count]
 
 
 @compiled
@@ -219,10 +245,10 @@ def calc_bounded(
             active[i] = x[i] != minimum[row]
             settled &= not active[i]
         if settled:
-            slope = A @ x - b
             for i in range(count):
                 if active[i]:
-                    active[i] = slope[i] >= 0.0 if x[i] == lower[i] else slope[i] <= 0.0
+                    slope = A[i] @ x - b[i]
+                    active[i] = slope >= 0.0 if x[i] == lower[i] else slope <= 0.0
                     settled &= active[i]
         if settled:
             break
