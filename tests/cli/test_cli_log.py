@@ -320,9 +320,9 @@ def uneven(folder):
 
 
 def back_in_time(folder):
-    messages = list(states())
+    messages = states()
     messages[7][1].header.stamp.sec -= 3
-    return bag(folder, joint_states=messages)
+    return bag(folder, messages)
 
 
 def bad_info(folder):
