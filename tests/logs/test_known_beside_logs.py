@@ -1,4 +1,4 @@
-"""What is known beside a log: payloads that were carried, and motors by their data sheets."""
+"""Knowledge beside a log: payloads that the robot carried, and data sheets of its motors."""
 
 import re
 from dataclasses import replace
@@ -8,12 +8,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import servo_logs
+from commands import run
 from pinocchio_logs import MODELS, perturbed, random_motion, robot
 from servo_logs import PERIOD, TRUTH
-from typer.testing import CliRunner
 
 from geodrake import load_model
-from geodrake.cli.app import app
 from geodrake.control import roll_out
 from geodrake.diagnosis import compare
 from geodrake.errors import ArgumentError
@@ -28,9 +27,6 @@ from geodrake.logs import JointLog, KnownPayload, Reading, read_log, write_log
 from geodrake.logs.motors import known_motors, motor_named, motor_of_robot
 from geodrake.model.carried_payloads import joints_with_known_gain
 
-pytest.importorskip("pinocchio")
-
-
 ARM, PENDULUM = "arm6", "double_pendulum"
 PLACE = (0.05, -0.02, 0.1)
 WEIGHT = KnownPayload("flange", 3.0, PLACE)
@@ -43,7 +39,7 @@ def model_file(name=ARM):
 
 
 def recorded(plant, label, rng, *, gains=0.0, weight=None, share=0.03):
-    """A log of a robot that holds a weight or none, with noise in a share of its efforts."""
+    """Return a log of a robot with or without a weight, with noise in a share of its efforts."""
     plant, file = pin.Model(plant), plant
     if weight is not None:
         frame = file.frames[file.getFrameId(weight.body)]
@@ -61,7 +57,7 @@ def recorded(plant, label, rng, *, gains=0.0, weight=None, share=0.03):
 
 
 def two_logs(seed, gains=0.0, *, off=0.2, weight=WEIGHT, name=ARM):
-    """A log without and one with the weight, of a robot whose bodies differ from its file."""
+    """Return a log without and one with the weight; bodies differ from those of the file."""
     rng = np.random.default_rng(seed)
     plant = perturbed(robot(name), rng, off)
     empty = recorded(plant, "empty", rng, gains=gains)
@@ -73,7 +69,7 @@ def bare(log):
 
 
 def clean(weight, name=ARM):
-    """A log without noise of the robot in the model file."""
+    """Return a log without noise of the robot in the model file."""
     return recorded(robot(name), "held", np.random.default_rng(11), weight=weight, share=0.0)
 
 
@@ -92,11 +88,9 @@ class TestGainTold:
 
 
 class TestLoad:
-    """What the weight needs is known exactly."""
-
     @pytest.mark.parametrize("body", ["flange", "tool0"])
     def test_taken_off(self, body):
-        """Of an exact model nothing is left; `tool0` is welded on, in a frame of its own."""
+        """An exact model leaves nothing; `tool0` is welded on, in a frame of its own."""
         log = clean(replace(WEIGHT, body=body))
         assert compare(model_file(), [bare(log)]).errors.nrms > 0.3
         assert compare(model_file(), [log]).errors.nrms < 1e-4
@@ -108,7 +102,7 @@ class TestLoad:
         assert held.relative < 0.02 * without.relative
 
     def test_both_fitted_and_held_out(self):
-        """Of four logs only one has the weight: it is cut in two."""
+        """The one of four logs that has the weight is cut in two."""
         empty, held = two_logs(16, off=0.0, weight=LIGHT, name=PENDULUM)
         logs = [empty, *(two_logs(seed, name=PENDULUM, weight=LIGHT)[0] for seed in (17, 18))]
         case = open_case(model_file(PENDULUM), [*logs, held], candidates=False, bandwidth=2.0)
@@ -132,56 +126,25 @@ def test_impossible_weights(values, words):
         replace(WEIGHT, **values)
 
 
-class TestCommand:
-    @pytest.fixture(scope="class")
-    @staticmethod
-    def files(tmp_path_factory):
-        folder = tmp_path_factory.mktemp("logs")
-        logs = two_logs(17, [0.0, 0.08], weight=LIGHT, name=PENDULUM)
-        paths = [folder / f"{log.name}.csv" for log in logs]
-        for log, path in zip(logs, paths, strict=True):
-            write_log(log, path)
-        return paths
-
-    def run(self, files, payload, command):
-        words = [command, MODELS / f"{PENDULUM}.urdf", *files, "--known-payload", payload]
-        words.append("--details")
-        return CliRunner().invoke(app, [str(word) for word in words])
-
-    def test_the_log_may_have_a_path(self, files):
-        result = self.run(files, f"{files[1]}:lower_link:0.5:0.1,0,-0.2", "compare")
-        assert result.exit_code == 0, result.output
-        assert "known payload of 0.5 kg at lower_link" in " ".join(result.output.split())
-
-    def test_tells_the_gain(self, files):
-        result = self.run(files, "held:lower_link:0.5:0.1,0,-0.2", "explain")
-        assert result.exit_code == 0, result.output
-        (step,) = [line for line in result.stdout.splitlines() if re.match(r"\d+ +\w", line)]
-        assert re.match(r"1 +effort_scale +elbow ", step)
-        (gain,) = re.findall(r"gain_error (\S+) ±", result.output)
-        assert float(gain) == pytest.approx(0.08, abs=0.01)
-        assert "known payload of 0.5 kg at lower_link" in " ".join(result.output.split())
-
-    @pytest.mark.parametrize(
-        ("given", "words"),
-        [
-            ("other:lower_link:0.5", "does not begin with a log"),
-            ("held:hand:0.5", "no moving body 'hand'"),
-            ("held:lower_link:-1", "a mass of -1 kg"),
-            ("held:lower_link", "cannot be parsed"),
-            ("held:lower_link:heavy", "cannot be parsed"),
-            ("held:lower_link:0.5:1,2", "cannot be parsed"),
-        ],
+def test_the_command_finds_a_gain_by_a_known_payload(tmp_path):
+    logs = two_logs(17, [0.0, 0.08], weight=LIGHT, name=PENDULUM)
+    paths = [tmp_path / f"{log.name}.csv" for log in logs]
+    for log, path in zip(logs, paths, strict=True):
+        write_log(log, path)
+    payload = f"{paths[1]}:lower_link:0.5:0.1,0,-0.2"  # a log may be named by its path
+    said = run(
+        "explain", model_file(PENDULUM).path, *paths, "--known-payload", payload, "--details"
     )
-    def test_refuses(self, files, given, words):
-        result = self.run(files, given, "compare")
-        assert result.exit_code == 2, result.output
-        assert words in result.stderr
-        assert len(result.stderr.strip().splitlines()) == 1
+    assert said.exit_code == 0, said.output
+    (step,) = [line for line in said.stdout.splitlines() if re.match(r"\d+ +\w", line)]
+    assert re.match(r"1 +effort_scale +elbow ", step)
+    (gain,) = re.findall(r"gain_error (\S+) ±", said.output)
+    assert float(gain) == pytest.approx(0.08, abs=0.01)
+    assert "known payload of 0.5 kg at lower_link" in " ".join(said.output.split())
 
 
 def test_a_payload_tells_unknown_gains_of_currents():
-    """Bodies are 20 % off, so that without it gains are known to about 12 %."""
+    """Bodies are 20 % off; without the payload, gains are uncertain by about 12 %."""
     truth = np.array([12.0, 7.5, 3.0, 5.0, 1.5, 0.8])
     kinds = dict.fromkeys(model_file().joints, "current")
     logs = [replace(log, effort=log.effort / truth, effort_kinds=kinds) for log in two_logs(1)]
@@ -225,29 +188,18 @@ def test_a_file_adds_motors(tmp_path):
             known_motors(path)
 
 
-@pytest.fixture(scope="module")
-def pendulum(tmp_path_factory):
-    path = tmp_path_factory.mktemp("pendulum") / "pendulum.urdf"
-    path.write_text(servo_logs.PENDULUM)
-    return load_model(path)
-
-
 def mine(folder, **values):
-    """A motor by a file of one's own: quantity -> value and deviation."""
+    """Return a motor of a file with the value and deviation of each quantity."""
     path = folder / "mine.yaml"
     told = ", ".join(f"{name}: [{at}, {off}, at home]" for name, (at, off) in values.items())
     path.write_text(f"mine: {{{told}}}")
     return motor_named("mine", known_motors(path))
 
 
-def armature(fits):
-    at = PARAMETERS.index("armature")
-    return fits["hinge"].parameters[at], fits["hinge"].deviations[at]
-
-
-def test_a_data_sheet_tells_what_a_log_does_not(pendulum, tmp_path):
-    """A slow swing by a few degrees hardly tells stiffness or armature."""
-    time = np.arange(0.0, 16.0, PERIOD)
+def test_a_data_sheet_tells_what_a_log_does_not(tmp_path):
+    """A slow swing by a few degrees hardly depends on stiffness or armature."""
+    (tmp_path / "pendulum.urdf").write_text(servo_logs.PENDULUM)
+    pendulum, time = load_model(tmp_path / "pendulum.urdf"), np.arange(0.0, 16.0, PERIOD)
     q = 0.02 * np.sin(0.7 * time)
     told = q + 0.01 * np.tanh(3.0 * np.cos(0.7 * time))
     rows = np.column_stack([time, np.round(q, 3), told])
@@ -263,5 +215,6 @@ def test_a_data_sheet_tells_what_a_log_does_not(pendulum, tmp_path):
     assert told.uncertainty < 0.12 < unknown.uncertainty
     assert abs(told.gain - TRUTH[0]) < 2.0 * told.deviation
     assert "times the published value of mine" in notes[-1]
-    found, deviation = armature(with_servo_motions(model, [log])[1])
-    assert found == pytest.approx(TRUTH[4], rel=0.3) and deviation < 0.2 * TRUTH[4]
+    fit, at = with_servo_motions(model, [log])[1]["hinge"], PARAMETERS.index("armature")
+    assert fit.parameters[at] == pytest.approx(TRUTH[4], rel=0.3)
+    assert fit.deviations[at] < 0.2 * TRUTH[4]

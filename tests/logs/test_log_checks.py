@@ -26,22 +26,26 @@ SERVOS = sorted((DATA / "so101").glob("*.state_motor.csv"))
 
 
 def swing(*, seconds=20.0, rate=200.0, velocity=True, seed=0):
-    """A log of two joints that swing, with noise of encoders and efforts."""
+    """Return a log of two joints that swing, with noise of encoders and efforts."""
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, seconds, 1 / rate)
     phase = time[:, None] * np.array([1.7, 2.9]) + seed
     position = np.round(np.sin(phase) / 1e-4) * 1e-4
     speed = np.array([1.7, 2.9]) * np.cos(phase)
     effort = 3 * np.sin(phase) + 0.5 * np.sign(speed) + rng.normal(0, 0.02, phase.shape)
-    return JointLog(
-        f"swing {seed}", ("a", "b"), time, position, effort, speed if velocity else None
-    )
+    velocity = speed if velocity else None
+    return JointLog(f"swing {seed}", ("a", "b"), time, position, effort, velocity)
 
 
 def changed(log, quantity, rows, joint, value):
     array = getattr(log, quantity).copy()
     array[rows, joint] = value
     return replace(log, **{quantity: array})
+
+
+def lost(log, quantity, joint):
+    """Return the rows in which a joint has no value."""
+    return np.flatnonzero(np.isnan(getattr(log, quantity)[:, joint]))
 
 
 @pytest.mark.parametrize("path", [*LOGS, *SERVOS], ids=lambda path: path.stem)
@@ -51,19 +55,19 @@ def test_nothing_is_wrong_with_real_logs(path):
 
 
 def knocked(log):
-    """Five rows of a blow of 30 times the effort, and the joint thrown by 0.1 rad."""
+    """Apply 30 times the effort for five rows, and throw the joint by 0.1 rad."""
     log = changed(log, "effort", slice(1000, 1005), 0, 100.0)
     return changed(log, "position", slice(1000, 1003), 0, log.position[1000, 0] + 0.05)
 
 
 def in_steps(log):
-    """Encoders of 1 mrad, and efforts that a drive gives as percent, held for ten rows."""
+    """Round encoders to 1 mrad, and hold rounded efforts for ten rows."""
     effort = np.round(log.effort[(np.arange(len(log)) // 10) * 10], 1)
     return replace(log, position=np.round(log.position, 3), effort=effort)
 
 
 def paused(log):
-    """A standstill of five seconds amid the log."""
+    """Let the joints rest for five seconds in the middle of the log."""
     pause = np.clip(log.time, None, 10.0) + np.clip(log.time - 15.0, 0, None)
     return replace(log, position=np.sin(pause[:, None] * [1.7, 2.9]), velocity=None)
 
@@ -86,15 +90,35 @@ def with_a_gap(log):
 
 
 def spinning(log):
-    """A joint at 200 rad/s for the last tenth of a log, at rest before."""
+    """Let a joint start from rest and reach 200 rad/s in the last tenth of the log."""
     late = np.clip(log.time - 18.0, 0, None)
     position = np.stack([100.0 * late**2, np.sin(log.time)], 1)
     return replace(log, position=position, velocity=None)
 
 
-@pytest.mark.parametrize(
-    "happen", [knocked, in_steps, paused, saturated, switched_off, with_a_gap, spinning]
-)
+def noisy_in_motion(log):
+    """Let efforts and velocities have noise only while a joint moves, which it seldom does."""
+    rng = np.random.default_rng(3)
+    moving = (np.arange(len(log)) // 400 % 5 == 0)[:, None]
+    noise = np.where(moving, 1.0, 1e-3) * rng.normal(size=log.effort.shape)
+    return replace(log, effort=noise, velocity=noise)
+
+
+def pushed(log):
+    return changed(log, "effort", slice(2000, 2003), 1, 120.0)
+
+
+def flickering(log):
+    """Let a joint rest, but for two readings of its encoder."""
+    still = changed(log, "position", slice(None), 1, 0.3)
+    still = changed(still, "velocity", slice(None), 1, 0.0)
+    return changed(still, "position", [700, 1500], 1, 0.3001)
+
+
+ODD = (knocked, in_steps, paused, saturated, switched_off, with_a_gap, spinning, noisy_in_motion)
+
+
+@pytest.mark.parametrize("happen", [*ODD, pushed, flickering])
 def test_what_robots_and_drives_do_is_no_fault(happen):
     log = happen(swing())
     assert without_faults(log) is log
@@ -105,9 +129,9 @@ def test_what_robots_and_drives_do_is_no_fault(happen):
 def test_spikes_and_only_they_are_left_out(rows, value):
     log = swing()
     found = without_faults(changed(log, "position", rows, 1, value))
-    lost = np.flatnonzero(np.isnan(found.position[:, 1]))
-    assert set(rows) <= set(lost)
-    assert len(lost) <= len(rows) + 6  # some rows between two spikes go with them
+    gone = lost(found, "position", 1)
+    assert set(rows) <= set(gone)
+    assert len(gone) <= len(rows) + 6  # some rows between two spikes go with them
     kept = np.isfinite(found.position[:, 1])
     assert np.array_equal(found.position[kept], log.position[kept])
     assert found.effort is log.effort
@@ -117,52 +141,32 @@ def test_spikes_and_only_they_are_left_out(rows, value):
     assert without_faults(found) is found
 
 
-def test_many_spikes_are_found():
-    log = swing()
-    rows = np.arange(7, 4000, 400)
-    found = without_faults(changed(log, "position", rows, 0, 1e4))
-    assert np.array_equal(np.flatnonzero(np.isnan(found.position[:, 0])), rows)
+FEW = [5, 640, 641, 1240, 1242, 3996]
 
 
 @pytest.mark.parametrize(
-    ("quantity", "height"), [("effort", 120.0), ("velocity", -6.0), ("position", 0.4)]
+    ("quantity", "height", "rows"),
+    [
+        ("effort", 120.0, FEW),
+        ("velocity", -6.0, FEW),
+        ("position", 0.4, FEW),
+        ("position", 1e4, [*range(7, 4000, 400)]),
+    ],
 )
-def test_brief_spikes_that_a_robot_could_make_otherwise_are_found(quantity, height):
-    log, rows = swing(), [5, 640, 641, 1240, 1242, 3996]
+def test_brief_spikes_that_a_robot_could_make_otherwise_are_found(quantity, height, rows):
+    log = swing()
     readings = getattr(log, quantity)[:, 1]
     found = without_faults(changed(log, quantity, rows, 1, readings[rows] + height))
-    assert np.flatnonzero(np.isnan(getattr(found, quantity)[:, 1])).tolist() == rows
+    assert lost(found, quantity, 1).tolist() == rows
 
 
 def test_lower_spikes_are_found_unless_there_are_small_ones_too():
     log, rows = swing(), [640, 1240, 2700]
     efforts = log.effort[:, 1]
     spiked = changed(log, "effort", rows, 1, efforts[rows] + 25.0)
-    assert np.flatnonzero(np.isnan(without_faults(spiked).effort[:, 1])).tolist() == rows
+    assert lost(without_faults(spiked), "effort", 1).tolist() == rows
     struck = changed(spiked, "effort", [3300], 1, efforts[3300] + 8.0)  # as by links with play
     assert without_faults(struck) is struck
-
-
-def test_noise_of_a_joint_that_rests_most_of_the_time_is_no_spikes():
-    log, rng = swing(), np.random.default_rng(3)
-    moving = (np.arange(len(log)) // 400 % 5 == 0)[:, None]
-    noise = np.where(moving, 1.0, 1e-3) * rng.normal(size=log.effort.shape)
-    quiet = replace(log, effort=noise, velocity=noise)
-    assert without_faults(quiet) is quiet
-
-
-def test_efforts_that_stay_high_for_a_moment_are_no_spikes():
-    log = swing()
-    pushed = changed(log, "effort", slice(2000, 2003), 1, 120.0)
-    assert without_faults(pushed) is pushed
-
-
-def test_a_few_flickering_readings_of_a_resting_joint_are_no_spikes():
-    log = swing()
-    still = changed(log, "position", slice(None), 1, 0.3)
-    still = changed(still, "velocity", slice(None), 1, 0.0)
-    flickering = changed(still, "position", [700, 1500], 1, 0.3001)
-    assert without_faults(flickering) is flickering
 
 
 @pytest.mark.parametrize("low", [-np.pi, 0.0])
@@ -188,18 +192,16 @@ def test_a_frozen_position_is_left_out():
     log = swing()
     stuck = changed(log, "position", slice(1000, 1800), 0, log.position[1000, 0])
     for measured in (stuck, replace(stuck, velocity=None)):
-        found = without_faults(measured)
-        lost = np.flatnonzero(np.isnan(found.position[:, 0]))
-        assert 795 < len(lost) < 805
-        assert abs(lost[0] - 1000) < 3
+        gone = lost(without_faults(measured), "position", 0)
+        assert 795 < len(gone) < 805
+        assert abs(gone[0] - 1000) < 3
     with pytest.raises(LogError, match=r"position of a is stuck at .* locked"):
         without_faults(changed(log, "position", slice(0, 3000), 0, 0.0))
 
 
 def test_a_frozen_effort_is_left_out():
-    log = swing()
-    found = without_faults(changed(log, "effort", slice(1000, 1800), 1, 1.234))
-    assert np.array_equal(np.flatnonzero(np.isnan(found.effort[:, 1])), np.arange(1000, 1800))
+    found = without_faults(changed(swing(), "effort", slice(1000, 1800), 1, 1.234))
+    assert lost(found, "effort", 1).tolist() == [*range(1000, 1800)]
     assert "the effort of b is stuck at 1.234 for 4 s from t = 5.00 s on" in found.notes[0]
 
 
@@ -213,17 +215,13 @@ def test_impossible_values_name_joint_row_and_value(quantity):
 def test_logs_that_are_there_twice():
     log, other = swing(), swing(seed=1)
     part = part_of(log, slice(500, 3000), later=7.0)
-    check_repeated([log, other])
     for logs in ([log, other, part], [part, log], [log, replace(log, name="again")]):
         with pytest.raises(ArgumentError, match="so it would be validated against"):
             check_repeated(logs)
-
-
-def test_halves_and_rest_are_not_there_twice():
-    log = swing()
-    check_repeated([part_of(log, slice(0, 2000)), part_of(log, slice(2000, None))])
     rest = replace(log, position=np.zeros_like(log.position), effort=np.ones_like(log.effort))
-    check_repeated([rest, replace(rest, name="the same rest")])
+    halves = [part_of(log, slice(0, 2000)), part_of(log, slice(2000, None))]
+    for logs in ([log, other], halves, [rest, replace(rest, name="the same rest")]):
+        check_repeated(logs)
 
 
 TIME = np.arange(0.0, 20.0, 0.01)
@@ -258,7 +256,7 @@ RESTING = {
     "nothing measured": [(SWING, np.full_like(SWING, np.nan)), (False, False)],
     "beyond what may overflow": [(WILD, ONCE), (False, True)],
 }
-"""What the joints of a log do, and which of them rest."""
+"""Motions of the joints of a log, and which of them rest."""
 
 
 @pytest.mark.parametrize("what", RESTING)

@@ -1,6 +1,5 @@
-"""Preparation of logs: filters, smooth motion, long logs, and the folds that validation uses."""
+"""Preparation of logs: filters, smooth motion, long logs, and folds for validation."""
 
-import dataclasses
 import tracemalloc
 from dataclasses import replace
 
@@ -26,16 +25,10 @@ RATES = 2 * np.pi * np.array([0.3, 0.5])
 
 
 def _make_log(time, **changes):
-    """Two joints on sinusoids; the effort is its own time stamp, so that it can be traced."""
-    log = JointLog(
-        "made",
-        JOINTS,
-        time,
-        np.sin(RATES * time[:, None]),
-        np.stack([time, time], 1),
-        RATES * np.cos(RATES * time[:, None]),
-    )
-    return replace(log, **changes)
+    """Return a log of two joints on sinusoids; each effort is its own time stamp."""
+    phase = RATES * time[:, None]
+    efforts, velocity = np.stack([time, time], 1), RATES * np.cos(phase)
+    return replace(JointLog("made", JOINTS, time, np.sin(phase), efforts, velocity), **changes)
 
 
 def _uniform(seconds=30.0, period=0.01):
@@ -43,16 +36,16 @@ def _uniform(seconds=30.0, period=0.01):
 
 
 def _error(segment):
-    """Largest relative errors of position, velocity and acceleration."""
+    """Return the largest relative error of position, velocity and acceleration."""
     phase = RATES * segment.time[:, None]
-    return [
+    return max(
         np.abs((measured - truth) / scale).max()
         for measured, truth, scale in (
             (segment.position, np.sin(phase), 1.0),
             (segment.velocity, RATES * np.cos(phase), RATES),
             (segment.acceleration, -(RATES**2) * np.sin(phase), RATES**2),
         )
-    ]
+    )
 
 
 @pytest.mark.parametrize("measured", [True, False])
@@ -62,22 +55,19 @@ def test_jittered_stamps_give_smooth_uniform_signals(measured):
     segment = prepare_logs([log if measured else replace(log, velocity=None)])[0].segments[0][:]
     assert segment.period == pytest.approx(0.01)
     assert np.allclose(np.diff(segment.time), 0.01)
-    assert max(_error(segment)) < 1e-3
+    assert _error(segment) < 1e-3
     assert np.allclose(segment.effort, segment.time[:, None])
 
 
 @pytest.mark.parametrize("measured", [True, False])
 def test_a_slow_log_keeps_accelerations_up_to_the_bandwidth_of_efforts(measured):
-    """At 50 Hz efforts pass up to 12.5 Hz: the motion is not to be smoothed there once more."""
+    """At 50 Hz efforts pass up to 12.5 Hz, where no further filter may smooth the motion."""
     time, rate = np.arange(0.0, 30.0, 0.02), 2.0 * np.pi * 10.0
-    ripple = 1e-3 * np.sin(rate * time)[:, None]
-    log = _make_log(time)
-    velocity = log.velocity + rate * 1e-3 * np.cos(rate * time)[:, None]
-    log = replace(log, position=log.position + ripple, velocity=velocity if measured else None)
-    (trajectory,) = prepare_logs([log], bandwidth=12.5)
-    segment = trajectory.segments[0][:]
-    phase = RATES * segment.time[:, None]
-    fast = segment.acceleration + RATES**2 * np.sin(phase)
+    log, angle = _make_log(time), rate * time[:, None]
+    velocity = log.velocity + rate * 1e-3 * np.cos(angle) if measured else None
+    log = replace(log, position=log.position + 1e-3 * np.sin(angle), velocity=velocity)
+    segment = prepare_logs([log], bandwidth=12.5)[0].segments[0][:]
+    fast = segment.acceleration + RATES**2 * np.sin(RATES * segment.time[:, None])
     wave = -(rate**2) * 1e-3 * np.sin(rate * segment.time)
     assert (wave @ fast) / (wave @ wave) == pytest.approx(1.0, abs=0.05)
 
@@ -101,8 +91,7 @@ def test_joints_in_any_order():
 def test_holes_split_instead_of_being_bridged(hole):
     log = _make_log(_uniform(40.0))
     if hole == "gap":
-        keep = (log.time < 20.0) | (log.time > 20.3)
-        log = _make_log(log.time[keep])
+        log = _make_log(log.time[(log.time < 20.0) | (log.time > 20.3)])
     else:
         values = getattr(log, hole).copy()
         values[2000:2030] = np.nan
@@ -112,7 +101,7 @@ def test_holes_split_instead_of_being_bridged(hole):
     assert len(trajectory.segments) == 2
     assert any("split into 2 pieces" in note for note in trajectory.notes)
     for segment in (stretch[:] for stretch in trajectory.segments):
-        assert max(_error(segment)) < 1e-3
+        assert _error(segment) < 1e-3
         center = segment.time[low_pass.output_indices(len(segment))]
         reach = low_pass.halfwidth * low_pass.period
         assert np.all((center + reach < 20.0) | (center - reach > 20.0))
@@ -122,9 +111,8 @@ def test_cells_that_are_empty_for_less_than_a_gap_are_bridged():
     time = _uniform(40.0)
     log, rows = _make_log(time), np.arange(100, len(time), 100)
     log.position[rows, 0] = log.effort[rows + 50, 1] = np.nan
-    trajectory = prepare_logs([log], bandwidth=4.0)[0]
-    (stretch,) = trajectory.segments
-    assert max(_error(stretch[:])) < 1e-3
+    (stretch,) = prepare_logs([log], bandwidth=4.0)[0].segments
+    assert _error(stretch[:]) < 1e-3
 
 
 def test_pieces_too_short_are_dropped_with_a_note():
@@ -136,19 +124,16 @@ def test_pieces_too_short_are_dropped_with_a_note():
     assert "1.51 s in gaps" in trajectory.left_out
 
 
-def _with_standstills(lead, pause, tail, period=0.01):
-    """Smooth strokes of 6 s each, with standstills before, between and after."""
-    stroke = 0.5 * (1 - np.cos(np.pi * np.arange(0, 6, period) / 6)) ** 2 / 2
-    hold = [np.full(round(seconds / period), value) for seconds, value in
-            ((lead, 0.0), (pause, stroke[-1]), (tail, 0.0))]  # fmt: skip
-    q = np.concatenate([hold[0], stroke, hold[1], stroke[::-1], hold[2]])
-    time = period * np.arange(len(q))
-    noise = 1e-5 * np.random.default_rng(0).standard_normal((len(q), 2))
-    return JointLog("strokes", JOINTS, time, np.stack([q, 2 * q], 1) + noise, noise)
-
-
 def test_standstills_at_the_ends_go_and_those_inside_stay():
-    trajectory = prepare_logs([_with_standstills(5.0, 3.0, 4.0)], bandwidth=4.0)[0]
+    """Strokes of 6 s have 5 s of standstill before, 3 s between and 4 s after them."""
+    period = 0.01
+    stroke = 0.5 * (1 - np.cos(np.pi * np.arange(0, 6, period) / 6)) ** 2 / 2
+    pause = np.full(300, stroke[-1])
+    q = np.concatenate([np.zeros(500), stroke, pause, stroke[::-1], np.zeros(400)])
+    noise = 1e-5 * np.random.default_rng(0).standard_normal((len(q), 2))
+    position = np.stack([q, 2 * q], 1) + noise
+    log = JointLog("strokes", JOINTS, period * np.arange(len(q)), position, noise)
+    trajectory = prepare_logs([log], bandwidth=4.0)[0]
     (stretch,) = trajectory.segments
     segment = stretch[:]
     reach = trajectory.filter.halfwidth * trajectory.filter.period
@@ -158,35 +143,29 @@ def test_standstills_at_the_ends_go_and_those_inside_stay():
     assert "s of standstill at the end" in trajectory.left_out
 
 
-def test_still_throughout():
-    noise = 1e-4 * np.random.default_rng(0).standard_normal((1000, 2))
-    log = _make_log(_uniform(10.0), position=noise)
-    with pytest.raises(LogError, match=r"No joint moves .*: in its 10 s") as caught:
-        prepare_logs([log])[0]
-    assert "back and forth" in caught.value.advice
+STILL = 1e-4 * np.random.default_rng(0).standard_normal((1000, 2))
+SHUFFLED = np.random.default_rng(0).permutation(1000)
+MADE = _make_log(_uniform(10.0))
+UNUSABLE = {
+    "still": (replace(MADE, position=STILL), r"No joint moves .*: in its 10 s", "back and forth"),
+    "out of order": (replace(MADE, position=MADE.position[SHUFFLED]), "not sorted by time", ""),
+    "short": (_make_log(_uniform(3.0)), "its 3 s leave .* a bandwidth of 4", "at least 4.08 s"),
+    "a few rows": (_make_log(_uniform(0.05)), "8 successive rows", ""),
+    "in ms": (
+        replace(MADE, time=1e3 * MADE.time),
+        r"a sample every 10 s .* too slow",
+        "--units time=ms converts it to s",
+    ),
+}
 
 
-def test_rows_out_of_order():
-    """Shuffled rows, as of benchmarks of regression, have no velocities."""
-    log = _make_log(_uniform(10.0))
-    order = np.random.default_rng(0).permutation(len(log))
-    with pytest.raises(LogError, match="not sorted by time"):
-        prepare_logs([replace(log, position=log.position[order])])
-
-
-def test_too_short():
-    with pytest.raises(LogError, match=r"its 3 s leave .* at a bandwidth of 4") as caught:
-        prepare_logs([_make_log(_uniform(3.0))], bandwidth=4.0)[0]
-    assert "Record at least 4.08 s" in caught.value.advice
-    with pytest.raises(LogError, match="8 successive rows"):
-        prepare_logs([_make_log(_uniform(0.05))], bandwidth=4.0)[0]
-
-
-def test_time_in_other_units():
-    log = _make_log(_uniform())
-    with pytest.raises(LogError, match=r"a sample every 10 s .* too slow") as caught:
-        prepare_logs([replace(log, time=1e3 * log.time)])
-    assert "--units time=ms converts it to s" in caught.value.advice
+@pytest.mark.parametrize("kind", UNUSABLE)
+def test_logs_that_cannot_be_prepared(kind):
+    log, words, advice = UNUSABLE[kind]
+    bandwidth = 4.0 if kind in ("short", "a few rows") else None
+    with pytest.raises(LogError, match=words) as caught:
+        prepare_logs([log], bandwidth=bandwidth)
+    assert advice in (caught.value.advice or "")
 
 
 @pytest.mark.parametrize(
@@ -200,7 +179,7 @@ def test_velocities_that_disagree_are_not_used_and_late_ones_moved(measured, wor
     log = _make_log(_uniform())
     log = replace(log, velocity=measured(log.time[:, None]))
     trajectory = prepare_logs([log], bandwidth=4.0)[0]
-    assert max(_error(trajectory.segments[0][:])) < 1e-3
+    assert _error(trajectory.segments[0][:]) < 1e-3
     assert any(words in note for note in trajectory.notes)
 
 
@@ -219,8 +198,8 @@ def test_shapes_and_time_are_checked():
 
 
 def _trajectories(*lengths):
-    """One trajectory for each tuple of segment lengths, in filtered samples."""
-    low_pass = design_filter(0.01, 5.0)
+    """Return a trajectory for each tuple of lengths of segments, in filtered samples."""
+    low_pass, none = design_filter(0.01, 5.0), np.zeros(len(JOINTS))
 
     def stretch(start, outputs):
         n = 2 * low_pass.halfwidth + 1 + (outputs - 1) * low_pass.decimation
@@ -234,8 +213,8 @@ def _trajectories(*lengths):
             JOINTS,
             tuple(map(stretch, range(0, 900, 300), outputs)),
             low_pass,
-            np.zeros(len(JOINTS)),
-            np.zeros(len(JOINTS)),
+            none,
+            none,
         )
         for k, outputs in enumerate(lengths)
     ]
@@ -281,7 +260,7 @@ CLOCK_RATES = np.array([1.0, 1.7, 2.9])
 
 
 def second(factors, *, clock=1.0):
-    """By velocities that are off by factors, of a log whose time is off."""
+    """Return how long a second is by velocities off by some factors, in a log whose time is off."""
     q, v = np.sin(CLOCK_RATES * SHORT[:, None]), CLOCK_RATES * np.cos(CLOCK_RATES * SHORT[:, None])
     log = JointLog("log", ("a", "b", "c"), SHORT / clock, q, q, velocity=v * factors)
     return make_uniform(log).time_scale
@@ -310,7 +289,7 @@ SMOOTH = 8.0 * np.cos(TIME * 2.1) + 3.0 * np.sin(TIME * 5.3)
 
 
 def log_with(effort):
-    """A log with some efforts at its elbow, and smooth ones at its shoulder."""
+    """Return a log with efforts at its elbow, and smooth ones at its shoulder."""
     return JointLog("steps", JOINTS, TIME, Q, np.stack([SMOOTH, effort], 1))
 
 
@@ -322,7 +301,7 @@ def log_with(effort):
     seed=st.integers(0, 2**31),
 )
 def test_the_step_of_a_converter_is_found(step, offset, noise, seed):
-    """Whatever its gain and zero, while the noise before it is less than a third of a step."""
+    """The noise before it is less than a third of a step; gain and zero are arbitrary."""
     rng = np.random.default_rng(seed)
     effort = step * np.rint((SMOOTH + noise * step * rng.normal(size=len(TIME))) / step) + offset
     assert effort_steps(log_with(effort)) == pytest.approx([0.0, step])
@@ -338,12 +317,10 @@ def test_a_note_says_step_and_noise():
     (note,) = [note for note in make_uniform(log).notes if "quantized" in note]
     assert "elbow 0.24 (noise 0.069)" in note
     assert "shoulder" not in note
-    plain = dataclasses.replace(log, effort=np.stack([SMOOTH, SMOOTH], 1))
-    assert not any("quantized" in note for note in make_uniform(plain).notes)
+    assert not any("quantized" in note for note in make_uniform(log_with(SMOOTH)).notes)
 
 
-PERIOD = 0.002
-BANDWIDTH = 10.0
+PERIOD, BANDWIDTH = 0.002, 10.0
 PASSBAND = 0.6  # of the bandwidth
 
 
