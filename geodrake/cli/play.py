@@ -18,9 +18,9 @@ from geodrake.errors import ArgumentError, OutputError
 from geodrake.model.robot_model import read_again
 from geodrake.model.saved_model import is_saved_model
 from geodrake.report.meshcat_scene import play_page
-from geodrake.report.pictures import check_video, video
 from geodrake.report.playback import Playback, play_back
 from geodrake.report.recordings import check_viewer, recording
+from geodrake.report.videos import check_video, video
 
 DEFAULT_OUT = Path("play.html")
 _HOST = "localhost"

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.colors import LinearSegmentedColormap
 from numpy.typing import NDArray
 from pydrake.geometry import Box, Cylinder, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
@@ -76,10 +75,11 @@ def levels(relative: Array, top: float) -> NDArray[np.uint8]:
 
 def error_colors(relative: Array, top: float) -> NDArray[np.uint8]:
     """Return colours (F, nv, 4) of errors (F, nv), RGBA."""
-    colormap = LinearSegmentedColormap.from_list("error", COLORS, N=UNKNOWN)
     level = levels(relative, top)
-    colors = np.asarray(colormap(np.minimum(level, UNKNOWN - 1).astype(int), bytes=True))
-    return np.where((level == UNKNOWN)[..., None], GRAYS[1], colors).astype(np.uint8)
+    stops = np.array([[*bytes.fromhex(color[1:]), 255] for color in COLORS]).T
+    at = level / (UNKNOWN - 1) * (len(COLORS) - 1)
+    colors = np.stack([np.interp(at, np.arange(len(COLORS)), channel) for channel in stops], -1)
+    return np.where((level == UNKNOWN)[..., None], GRAYS[1], np.rint(colors)).astype(np.uint8)
 
 
 def drawn_shapes(model: RobotModel) -> RobotShapes:

@@ -76,7 +76,7 @@ OWN = {
     "identification/solvers.py": {"open"},
     "logs/files/units.py": {"read_bytes"},
     "report/html.py": {"read_text"},
-    "report/pictures.py": {"read_bytes"},
+    "report/videos.py": {"read_bytes"},
     "report/recordings.py": {"read_bytes"},
     "report/json_output.py": {"read_text"},
 }
