@@ -16,7 +16,7 @@ from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid, Sphere
 from report_results import JOINT, LOG, URDF, comparison
 
 from geodrake import load_model
-from geodrake.report import page_of, pictures, recordings, render
+from geodrake.report import page_of, recordings, render, videos
 from geodrake.report.pictures import error_pictures, triangles
 from geodrake.report.playback import play_back
 from geodrake.report.robot_scene import drawn_shapes, link_joints, posed_links
@@ -156,7 +156,7 @@ def test_mcap_is_read_by_its_libraries(short):
 
 def test_videos_show_the_robot_in_motion(after, cut):
     moving = play_back(after, [cut], seconds=0.7)
-    image = Image.open(BytesIO(pictures.video(moving, ".gif")))
+    image = Image.open(BytesIO(videos.video(moving, ".gif")))
     assert image.n_frames == round(len(moving.q) / 3)
     image.seek(0)
     first = np.asarray(image.convert("RGB"), int)
@@ -164,7 +164,7 @@ def test_videos_show_the_robot_in_motion(after, cut):
     last = np.asarray(image.convert("RGB"), int)
     assert (np.abs(first - last).sum(-1) > 60)[:500].mean() > 0.005
     encoder = pytest.importorskip("imageio_ffmpeg")
-    data = pictures.video(moving, ".mp4", speed=4.0)
+    data = videos.video(moving, ".mp4", speed=4.0)
     assert data[4:8] == b"ftyp" and encoder.get_ffmpeg_exe()
 
 
