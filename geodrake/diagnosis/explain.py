@@ -132,7 +132,7 @@ def explained(
     if changed:
         all_notes += [*changed_notes(case.model, steps), *notes_of(result, case, fit, bodies)]
     all_notes += left_out_notes(findings, steps)
-    gained = at_found_gains(result) if steps else None
+    gained = at_found_gains(result)
     explanation = Explanation(
         verdict_of(gained or after.errors, bool(steps), left=largest_residual(result)),
         steps,

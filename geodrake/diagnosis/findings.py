@@ -407,7 +407,7 @@ def at_found_gains(result: SearchResult) -> ErrorTable | None:
     Such gains belong to the logs, not to the model, and are no missing effect.
     """
     model, fit = result.model, result.fit
-    shown = model.usual_gains(fit) if fit.terms else {}
+    shown = model.usual_gains(fit)
     return error_table(model.dataset, model.held_out(fit)) if shown else None
 
 

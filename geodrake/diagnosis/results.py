@@ -171,7 +171,7 @@ class Explanation(Shown):
         certificate: Certificate of the final fit by its MathematicalProgram; None if the model is
             unchanged.
         at_found_gains: Errors like `end`, but with effort gains as the logs show, within their
-            uncertainty; None if these are negligible, or without a step.
+            uncertainty; None if these are negligible.
     """
 
     verdict: Verdict

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -130,7 +131,8 @@ class Search:
                 raise
             is_stopped = True
             if search._progress is not None and search._last_step is not None:
-                search._progress(replace(search._last_step, is_last=True))
+                with suppress(StopSearch):  # it is stopped already
+                    search._progress(replace(search._last_step, is_last=True))
         return SearchResult(search.case, search.model, search.fit, search._start(), is_stopped)
 
     def _start_with_turned_base(self) -> None:

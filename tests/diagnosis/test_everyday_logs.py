@@ -123,12 +123,18 @@ def test_gains_of_efforts_are_no_missing_effect():
     time, moved = sines(40.0)
     rng, gains = np.random.default_rng(7), np.array([1.03, 0.98])
     effort = body_effort(moved.q, moved.v, moved.vd) + DRY * np.tanh(moved.v / 0.01)
-    effort = gains * effort + 0.01 * rng.normal(size=effort.shape)
-    found = explain(MODEL, [JointLog("gains", JOINTS, time, moved.q, effort)])
+    logs = [
+        JointLog(name, JOINTS, time, moved.q, own * effort + 0.01 * rng.normal(size=effort.shape))
+        for name, own in (("calibrated", np.ones(2)), ("gains", gains))
+    ]
+    found = explain(MODEL, logs[1:])
     assert places(found) == {"coulomb_friction": {*JOINTS}}
-    assert found.verdict == "explained" and not found.end.is_noise
-    assert found.at_found_gains.is_noise
-    assert "comes from the effort gains" in page_of(found).sentence
+    again = explain(explain(MODEL, logs[:1]).model, logs[1:])
+    assert not again.steps
+    assert (found.verdict, again.verdict) == ("explained", "adequate")
+    for each in (found, again):
+        assert not each.end.is_noise and each.at_found_gains.is_noise
+        assert "comes from the effort gains" in page_of(each).sentence
 
 
 @pytest.mark.parametrize("width", [0.008, 0.012])
