@@ -61,6 +61,20 @@ def sine_log(model, path="log", *, coulomb=(0.3, 0.2), noise=0.02, **motion):
     return JointLog("log", model.joints, time, moved.q, effort)
 
 
+FINGER = """<link name="{0}"><inertial><origin xyz="0 0 -0.02"/><mass value="0.2"/>
+<inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="{0}" type="prismatic"><parent link="lower_link"/><child link="{0}"/>
+<origin xyz="0 0 -0.3"/><axis xyz="{1} 0 0"/><limit lower="0" upper="0.04" effort="9"
+velocity="0.2"/>{2}</joint>"""
+
+
+def with_gripper(path):
+    """Write the pendulum with a gripper, whose right finger follows the left; return the path."""
+    own = FINGER.format("left", 1, "") + FINGER.format("right", -1, '<mimic joint="left"/>')
+    path.write_text(PENDULUM.read_text().replace("</robot>", own + "</robot>"))
+    return path
+
+
 def point_pendulum(path, length):
     """Write a pendulum of two point masses of 2 kg, m below their joints, as a URDF; return it."""
     none = '<inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/>'

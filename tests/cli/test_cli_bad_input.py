@@ -1,25 +1,19 @@
-"""What no command can use: one clear line, exit code 2, and no file touched."""
+"""Input that no command can use: one clear line, exit code 2, and no file touched."""
 
 import shlex
 import shutil
 from pathlib import Path
 
-import numpy as np
+import pandas
 import pytest
 from commands import contents, refused, run, told
 from own_code import effect
-from pendulum_logs import PENDULUM, pendulum_log
+from pendulum_logs import PENDULUM, pendulum_log, with_gripper
 
 from geodrake.logs import write_log
 from geodrake.model import load_model, save_model
 
-FINGERS = "".join(
-    f"""<link name="{name}"><inertial><mass value="0.2"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4"
-ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="{name}" type="prismatic"><parent
-link="lower_link"/><child link="{name}"/><limit lower="0" upper="0.04" effort="9" velocity="1"/>
-{more}</joint>"""
-    for name, more in (("left", ""), ("right", '<mimic joint="left"/>'))
-)
+BIPED = PENDULUM.with_name("biped.urdf")
 BAD = {
     "compare robot.urdf log.csv": {
         "--bandwidth 0": "Hz",
@@ -184,6 +178,18 @@ BAD = {
         "--tell-apart drag,viscous_friction --normalization none": "Omit --normalization",
         "--tell-apart drag,viscous_friction --effects effort_offset": "takes only FILE.py",
     },
+    f"excite {BIPED} --duration 4 --harmonics 2 --seeds 1 --iterations 1": {
+        "--floating": "Name the links that it stands on: --feet LINK,LINK",
+        "--force-plate": "Add --feet LINK,LINK",
+        "--feet l_foot=": "LINK=LENGTHxWIDTH",
+        "--feet l_foot=big": "'big' of --feet 'l_foot=big' is not a size",
+        "--feet l_foot=0.1": "'0.1' of --feet 'l_foot=0.1' is not a size",
+        "--feet paw": "The model has no link 'paw' to stand on",
+        "--feet l_foot --force-plate --effects effort_offset": "force plate",
+        "--feet l_foot --friction 0": "--friction",
+        "--feet l_foot --stand 0.3": "its range is",
+        "--feet l_foot --limits pelvis_x.position=-1:1": "'pelvis_x'",
+    },
     "play pendulum.urdf log.csv": {
         "--out p.png": "does not end in .html",
         "--speed 0": "--speed must be",
@@ -218,11 +224,10 @@ BAD = {
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    """A robot with and without a gripper, a saved model, logs, and what is none of them."""
+    """Return a folder of robots, a saved model, logs, and files that are none of them."""
     folder = tmp_path_factory.mktemp("files")
-    text = PENDULUM.read_text()
-    (folder / "pendulum.urdf").write_text(text)
-    (folder / "robot.urdf").write_text(text.replace("</robot>", f"{FINGERS}</robot>"))
+    shutil.copy(PENDULUM, folder / "pendulum.urdf")
+    with_gripper(folder / "robot.urdf")
     (folder / "base.dmd.yaml").write_text(
         f"directives: [{{add_model: {{name: robot, file: file://{PENDULUM}}}}}]\n"
     )
@@ -230,9 +235,8 @@ def files(tmp_path_factory):
     (folder / "link.yaml").symlink_to("base.dmd.yaml")
     (folder / "page.urdf").write_text("<html><body/></html>")
     (folder / "folder.json").mkdir()
-    for seed in (1, 2):
-        log = pendulum_log(seed, seconds=10.0, rate=100.0)
-        write_log(log, folder / ("log.csv" if seed == 1 else "log_2.csv"))
+    for name, seed in (("log.csv", 1), ("log_2.csv", 2)):
+        write_log(pendulum_log(seed, seconds=10.0, rate=100.0), folder / name)
     return folder
 
 
@@ -277,7 +281,7 @@ def test_effects_of_files_that_fail(folder):
     assert "line 14 of" in said and "KeyError" in said
 
 
-def test_what_is_wrong_in_the_words_is_refused_before_anything_is_read(folder, monkeypatch):
+def test_bad_words_are_refused_before_anything_is_read(folder, monkeypatch):
     def read(*_, **__):
         raise AssertionError("a model or a log was read")
 
@@ -294,13 +298,12 @@ def test_a_saved_model_says_where_its_base_was(folder):
     assert "pendulum.urdf" in message and "base_model" in message
 
 
-def test_zero_masses_and_odd_units_are_told_of_and_not_fatal(folder):
+def test_zero_masses_and_odd_units_are_noted_and_not_fatal(folder):
     text = Path("pendulum.urdf").read_text()
     Path("light.urdf").write_text(text.replace('<mass value="0.6256"/>', '<mass value="0"/>'))
-    table = np.loadtxt("log.csv", delimiter=",", skiprows=1)
-    header = Path("log.csv").read_text().partition("\n")[0]
-    table[:, [name.endswith("effort") for name in header.split(",")]] *= 1000.0
-    np.savetxt("large.csv", table, delimiter=",", header=header, comments="")
+    table = pandas.read_csv("log.csv")
+    table[[name for name in table if name.endswith("effort")]] *= 1000.0
+    table.to_csv("large.csv", index=False)
     output = told("compare", "light.urdf", "large.csv")
     assert "lower_link has a mass of 0 kg" in output
     assert "Efforts seem to be in other units" in output
@@ -321,11 +324,9 @@ def test_a_bug_is_told_in_one_line_and_traced_on_demand(folder, monkeypatch):
 
 def test_robots_that_a_command_cannot_use(folder):
     ball = '<sdf version="1.9"><model name="m"><link name="l"/><joint name="j" type="ball">'
-    Path("ball.sdf").write_text(
-        f"{ball}<parent>world</parent><child>l</child></joint></model></sdf>"
-    )
+    end = "<parent>world</parent><child>l</child></joint></model></sdf>"
+    Path("ball.sdf").write_text(ball + end)
+    to_sdf = ("export", "pendulum.urdf", "--floating", "--to", "sdf", "out")
     assert "joint j has type" in refused("export", "ball.sdf", "--to", "urdf", "out")
-    assert "floating robot" in refused(
-        "export", "pendulum.urdf", "--floating", "--to", "sdf", "out"
-    )
+    assert "floating robot" in refused(*to_sdf)
     assert "does not exist" in refused("excite", "none.urdf")

@@ -1,4 +1,4 @@
-"""`geodrake identify` and `identifiable`: find what is there, and refuse what cannot end well."""
+"""`geodrake identify` and `identifiable`: results, files, and errors of solvers."""
 
 import json
 import re
@@ -35,7 +35,7 @@ HEAVIER = 1.5
 
 
 def truth():
-    """The pendulum with a heavier forearm than its model file says."""
+    """Return the pendulum with a heavier forearm than its model file has."""
     model = load_model(MODEL)
     phi = model.phi.copy()
     phi[-1] *= HEAVIER
@@ -52,12 +52,15 @@ def log(tmp_path_factory):
 @pytest.fixture(scope="module")
 def found(log):
     model = load_model(MODEL)
-    effects = named_effects(FRICTIONS.split(","), model)
-    return identify_model(model, [log], effects=effects)
+    return identify_model(model, [log], effects=frictions(model))
+
+
+def frictions(model):
+    return named_effects(FRICTIONS.split(","), model)
 
 
 def identify(*arguments):
-    """Numbers of the command on the pendulum, which it writes to standard output."""
+    """Return the numbers of the command on the pendulum."""
     result = run("identify", MODEL, *arguments, "--json", "-")
     assert result.exit_code == 0, result.output
     return json.loads(result.stdout)
@@ -98,13 +101,13 @@ def test_everything_is_written(log, tmp_path):
 
 
 def test_the_fit_is_the_truth_within_its_deviations(found):
-    """What moves an effort, not every parameter: of a pendulum, base parameters are seen."""
+    """Efforts identify the base parameters of a pendulum, not every parameter."""
     _, moved = sines()
     exact, fitted = truth(), found.model
     rigid = replace(fitted, effects=())
     assert np.sqrt(np.mean((rigid.effort(moved) - exact.effort(moved)) ** 2)) < 0.02
+    expected = {"viscous_friction": [0.1, 0.1], "coulomb_friction": [0.3, 0.2]}
     for effect in fitted.effects:
-        expected = {"viscous_friction": [0.1, 0.1], "coulomb_friction": [0.3, 0.2]}
         at = fitted.joints.index(effect.effect.where[0])
         error = effect.parameters[0] - expected[effect.effect.name][at]
         assert abs(error) < 4 * effect.deviations[0] + 0.01
@@ -143,36 +146,35 @@ def test_compare_tells_of_a_regularizer_without_a_solution(log, monkeypatch):
 
 def test_a_residual_bound_and_a_total_mass_are_met(log):
     model = load_model(MODEL)
-    effects = named_effects(FRICTIONS.split(","), model)
-    settings = IdentificationSettings(residual_ratio=1.02)
-    found = identify_model(model, [log], settings, effects=effects)
-    loose = identify_model(
-        model, [log], IdentificationSettings(gamma=1e-6), effects=effects
-    )  # next to the least residual
+
+    def fitted(**settings):
+        return identify_model(
+            model, [log], IdentificationSettings(**settings), effects=frictions(model)
+        )
+
+    found, loose = fitted(residual_ratio=1.02), fitted(gamma=1e-6)  # next to the least residual
     assert np.sqrt(found.result.residual / loose.result.residual) == pytest.approx(1.02, rel=1e-3)
     assert found.gamma > 1e-6
-    weighed = IdentificationSettings(gamma=10.0, total_mass=1.6)
-    phi = identify_model(model, [log], weighed, effects=effects).model.phi
+    phi = fitted(gamma=10.0, total_mass=1.6).model.phi
     assert phi[:, 0].sum() == pytest.approx(1.6, rel=1e-6)
 
 
 def test_a_payload_is_a_body_of_its_own(tmp_path):
     load = from_mass_com_inertia(0.8, [0.0, 0.0, 0.1], 0.004 * np.eye(3))
-    bare = load_model(MODEL)
+    bare, hand = load_model(MODEL), load_model(MODEL).bodies[-1]
     time, moved = sines()
-    carrying = replace(bare, effects=(FittedEffect(Payload(bare.bodies[-1]), load),))
+    carrying = replace(bare, effects=(FittedEffect(Payload(hand), load),))
     effort = carrying.effort(moved) + 0.02 * np.random.default_rng(1).normal(size=moved.v.shape)
     log = JointLog("log", bare.joints, time, moved.q, effort)
     settings = IdentificationSettings(gamma=30.0)
     found = identify_model(carrying, [log], settings)
-    assert [body.name for body in found.bodies][-1] == f"payload on {bare.bodies[-1]}"
+    assert [body.name for body in found.bodies][-1] == f"payload on {hand}"
     (fitted,) = found.model.effects
     assert fitted.parameters[0] == pytest.approx(0.8, rel=0.1)
     save_model(found.model, tmp_path / "m.yaml")
     assert load_model(tmp_path / "m.yaml").information.shape == (30, 30)
-    new = identify_model(
-        bare, [log], settings, effects=named_effects([f"payload@{bare.bodies[-1]}"], bare)
-    )
+    effects = named_effects([f"payload@{hand}"], bare)
+    new = identify_model(bare, [log], settings, effects=effects)
     assert new.before.nrms > 3 * new.after.nrms
 
 
@@ -191,28 +193,20 @@ def test_effects_by_name():
         with_effects(has, [CoulombFriction("elbow")])
 
 
-@pytest.mark.parametrize(
-    ("error", "option", "words"),
-    [
-        (
-            IdentificationError("The solver found nothing."),
-            "--residual-bound 1.0001",
-            ["Raise the bound, or use gamma instead"],
-        ),
-        (
-            IdentificationError("The solver's parameters are not physical.", columns=[10]),
-            "--gamma 1e-9",
-            ["(lower_link)", "larger gamma"],
-        ),
-    ],
-)
-def test_what_a_solver_cannot_do_is_told_with_what_helps(log, monkeypatch, error, option, words):
-    def failing(*_arguments, **_settings):
-        raise error
+def test_what_a_solver_cannot_do_is_told_with_what_helps(log, monkeypatch):
+    nothing = IdentificationError("The solver found nothing.")
+    flat = IdentificationError("The solver's parameters are not physical.", columns=[10])
+    for error, option, words in (
+        (nothing, "--residual-bound 1.0001", ["Raise the bound, or use gamma instead"]),
+        (flat, "--gamma 1e-9", ["(lower_link)", "larger gamma"]),
+    ):
 
-    monkeypatch.setattr("geodrake.identification.logs.log_fits.identify", failing)
-    message = refused("identify", MODEL, log, *option.split())
-    assert all(each in message for each in words)
+        def failing(*_arguments, error=error, **_settings):
+            raise error
+
+        monkeypatch.setattr("geodrake.identification.logs.log_fits.identify", failing)
+        message = refused("identify", MODEL, log, *option.split())
+        assert all(each in message for each in words)
 
 
 def test_a_write_that_fails_leaves_nothing(log, tmp_path, monkeypatch):
@@ -220,10 +214,8 @@ def test_a_write_that_fails_leaves_nothing(log, tmp_path, monkeypatch):
         raise ModelError("It cannot be changed.")
 
     monkeypatch.setattr("geodrake.model.export.EditedFile", failing)
-    message = refused(
-        "identify", MODEL, log, "--gamma", "1", "--save", "m.yaml", "--export", "o.urdf"
-    )
-    assert "It cannot be changed." in message
+    files = ("--save", "m.yaml", "--export", "o.urdf")
+    assert "It cannot be changed." in refused("identify", MODEL, log, "--gamma", "1", *files)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -246,8 +238,7 @@ LOG = sine_log(load_model(MODEL), seed=0)
 
 def found_in(logs, **settings):
     model = load_model(MODEL)
-    effects = named_effects(FRICTIONS.split(","), model)
-    return log_identifiability(model, logs, effects=effects, **settings)
+    return log_identifiability(model, logs, effects=frictions(model), **settings)
 
 
 def test_counts_are_written(tmp_path):
@@ -268,7 +259,7 @@ def test_counts_are_written(tmp_path):
 
 
 def test_counts_are_those_of_the_motion():
-    """The same number of directions as from the exact, unfiltered motion and as much noise.
+    """Compare with the exact, unfiltered motion under as much noise.
 
     The model with its friction explains the log, whatever the filter.
     """

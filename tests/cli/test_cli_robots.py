@@ -1,4 +1,4 @@
-"""Robots as they come, at the command line: grippers, transmissions, and what was repaired."""
+"""Commands on robots with grippers and transmissions, and on files that need repairs."""
 
 import json
 import re
@@ -6,11 +6,12 @@ import sys
 from dataclasses import replace
 
 import numpy as np
+import pandas
 import pytest
 from commands import contents, refused, run, told
 from coupled_arm import WRIST, arm, log_of
 from own_code import effect
-from pendulum_logs import PENDULUM
+from pendulum_logs import sines, with_gripper
 from processes import ended, start
 from scipy.integrate import solve_ivp
 
@@ -19,34 +20,20 @@ from geodrake.effects import FittedEffect, Hysteresis, RotorInertia
 from geodrake.logs import JointLog, Motion, read_log, write_log
 from geodrake.model import load_model
 
-FINGER = """<link name="{0}"><inertial><origin xyz="0 0 -0.02"/><mass value="0.2"/>
-<inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<joint name="{0}" type="prismatic"><parent link="lower_link"/><child link="{0}"/>
-<origin xyz="0 0 -0.3"/><axis xyz="{1} 0 0"/><limit lower="0" upper="0.04" effort="9"
-velocity="0.2"/>{2}</joint>"""
-
 
 @pytest.fixture
 def robot(tmp_path):
-    """The pendulum with a gripper, one finger of which follows the other."""
-    own = FINGER.format("left", 1, "") + FINGER.format("right", -1, '<mimic joint="left"/>')
-    path = tmp_path / "gripper.urdf"
-    path.write_text(PENDULUM.read_text().replace("</robot>", own + "</robot>"))
-    return path
+    return with_gripper(tmp_path / "gripper.urdf")
 
 
 def gripper_log(robot, path, *, finger=0.01, **further):
-    """A log of the two joints of the arm, made with the gripper at that place."""
-    model, time = load_model(robot, lock={"left": finger}), np.arange(0.0, 12.0, 0.01)
-    rate, phase = np.array([2.0, 3.1]), np.array([0.0, 1.0])
-    angle = np.outer(time, rate) + phase
-    q, v, vd = np.sin(angle), rate * np.cos(angle), -(rate**2) * np.sin(angle)
-    effort = model.effort(Motion(q, v, vd)) + np.random.default_rng(0).normal(0.0, 0.01, q.shape)
-    write_log(JointLog(path.stem, model.joints, time, q, effort), path)
+    """Write a log of the two joints of the arm with its gripper open by `finger`, m."""
+    model = load_model(robot, lock={"left": finger})
+    time, moved = sines(12.0, size=0.7)
+    effort = model.effort(moved) + np.random.default_rng(0).normal(0.0, 0.01, moved.q.shape)
+    write_log(JointLog(path.stem, model.joints, time, moved.q, effort), path)
     if further:
-        header, *lines = path.read_text().splitlines()
-        lines = [f"{line},{','.join(map(str, further.values()))}" for line in lines]
-        path.write_text("\n".join([",".join([header, *further]), *lines]) + "\n")
+        pandas.read_csv(path).assign(**further).to_csv(path, index=False)
     return path
 
 
@@ -109,7 +96,7 @@ def test_a_xacro_file_that_asks_for_more_than_values_needs_to_be_trusted(robot, 
 
 
 def simulated(robot, dry=0.0, width=1.0):
-    """Three seconds of the pendulum with its gripper, with Dahl's friction there, by SciPy."""
+    """Simulate the pendulum with its gripper, and Dahl's friction there, for 3 s with SciPy."""
     model, time = load_model(robot), np.arange(0.0, 3.0, 0.01)
     limit, rates, damping = np.array([2.0, 1.0, 0.4]), np.array([1.9, 3.1, 2.3]), [0.3, 0.3, 8.0]
 
@@ -134,10 +121,8 @@ def test_a_rollout_moves_the_fingers_together(robot):
     rotor = FittedEffect(RotorInertia("left"), np.array([0.1]))
     slower = roll_out(replace(model, effects=(rotor,)), [log], most=1, bandwidth=8.0)
     assert slower.broken == 0 and slower.relative > 10 * rollout.relative
-    bristles, bent = (
-        FittedEffect(Hysteresis("left", 1e-3), np.array([0.1])),
-        simulated(robot, 0.1, 1e-3),
-    )
+    bristles = FittedEffect(Hysteresis("left", 1e-3), np.array([0.1]))
+    bent = simulated(robot, 0.1, 1e-3)
     bare, whole = (
         roll_out(replace(model, effects=effects), [bent], most=3, horizon=0.3)
         for effects in ((), (bristles,))
@@ -147,10 +132,9 @@ def test_a_rollout_moves_the_fingers_together(robot):
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    """The arm with its wrist beside it, and a log of its motors, one of which rubs."""
+    """Return a folder of an arm with its transmission, and a log in which a motor has friction."""
     folder = tmp_path_factory.mktemp("arm")
-    model = arm(folder)
-    log = log_of(model, 0, lambda v: np.tanh(v / 1e-3) * [0.0, 0.8, 0.0], seconds=5.0)
+    log = log_of(arm(folder), 0, lambda v: np.tanh(v / 1e-3) * [0.0, 0.8, 0.0], seconds=5.0)
     write_log(log, folder / "log.csv")
     return folder
 
@@ -254,7 +238,7 @@ def model_of(folder, mass):
 
 
 def checked(path):
-    """How `geodrake check` ends, and its numbers."""
+    """Return the result of `geodrake check`, and its numbers."""
     numbers = path.with_suffix(".json")
     done = run("check", path, "--samples", 2, "--json", numbers)
     return done, json.loads(numbers.read_text(encoding="utf-8"))
@@ -308,14 +292,13 @@ def test_a_repair_of_a_link_with_any_name_leaves_xml(tmp_path):
 
 
 def test_many_repairs_are_counted(tmp_path):
-    links = "".join(f'<link name="l{k}"/>' for k in range(9))
-    joints = "".join(
-        f'<joint name="j{k}" type="continuous"><parent link="{"fore" if k == 0 else f"l{k - 1}"}"/>'
-        f'<child link="l{k}"/></joint>'
+    links = "".join(
+        f'<link name="l{k}"/><joint name="j{k}" type="continuous">'
+        f'<parent link="{"fore" if k == 0 else f"l{k - 1}"}"/><child link="l{k}"/></joint>'
         for k in range(9)
     )
     path = model_of(tmp_path, '<mass value="2"/>')
-    text = path.read_text("utf-8").replace("</robot>", f"{links}{joints}</robot>")
+    text = path.read_text("utf-8").replace("</robot>", f"{links}</robot>")
     path.write_text(text, encoding="utf-8")
     done, _ = checked(path)
     assert done.output.count("Warning") == 6
