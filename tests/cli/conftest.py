@@ -1,4 +1,4 @@
-"""Commands run in a folder of their test, and what they write as JSON is as its schema says."""
+"""Run commands in the folder of their test, and compare their JSON with its schema."""
 
 from pathlib import Path
 from runpy import run_path
@@ -20,7 +20,7 @@ def working_folder(tmp_path, monkeypatch):
 
 @pytest.fixture(autouse=True)
 def schema_of_numbers(monkeypatch):
-    """Compare the numbers of every command, be they asked for or not, with the published schema."""
+    """Compare the numbers of every command with the published schema."""
 
     def compared(result):
         text = to_json(result)

@@ -1,4 +1,4 @@
-"""The command on logs that it can use: tables, sentences, files."""
+"""Commands on good logs: tables, sentences, and files."""
 
 import json
 import re
@@ -25,7 +25,7 @@ COULOMB = {"shoulder": 0.3, "elbow": 0.2}
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
-    """A log of the double pendulum with dry and viscous friction and sensor noise."""
+    """Return the path of a log of the double pendulum with dry and viscous friction."""
     path = tmp_path_factory.mktemp("logs") / "log.csv"
     write_log(sine_log(load_model(MODEL), seed=0), path)
     return path
@@ -74,7 +74,7 @@ def test_diagnose_ranks_and_saves_the_model_as_loaded(log, tmp_path):
 
 
 def test_module_runs_piped_in_ascii_with_no_more_than_a_word_now_and_then(log):
-    """Words and numbers come from where pages do, and pages alone need matplotlib."""
+    """Only pages need matplotlib."""
     command = [sys.executable, "-X", "importtime", "-m", "geodrake", "compare", str(MODEL), log]
     done = processes.start(command, PYTHONIOENCODING="ascii", COLUMNS="80")
     out, err = done.communicate()
@@ -126,7 +126,7 @@ def test_demo_explains_the_log_that_ships(tmp_path):
 
 
 def test_a_joint_at_rest_is_held_unless_it_is_to_be_kept(tmp_path):
-    """The shoulder's brake holds more than gravity asks; its encoder flickers."""
+    """The shoulder's brake holds more than its weight, and its encoder flickers."""
     rng, time = np.random.default_rng(3), np.arange(0.0, 20.0, 0.01)
     model = load_model(MODEL)
     q = np.stack([np.full_like(time, 0.4), np.sin(2.0 * time) + 0.4 * np.sin(5.3 * time)], 1)

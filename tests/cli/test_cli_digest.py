@@ -1,4 +1,4 @@
-"""`geodrake digest`: exit codes that a cron job understands, and what is said."""
+"""`geodrake digest`: output, and exit codes for a cron job."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""`geodrake export`: files that simulators agree with, what they lack, and what is refused."""
+"""`geodrake export`: files that simulators agree with, missing effects, and refusals."""
 
 import json
 from contextlib import chdir
@@ -44,7 +44,7 @@ def truth():
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A saved model with its robot's file, and a log of it."""
+    """Return a folder of a saved model and a log of it."""
     here = tmp_path_factory.mktemp("export")
     model, rng = truth(), np.random.default_rng(3)
     time, moved = sines(16.0, period=PERIOD)
@@ -56,7 +56,7 @@ def folder(tmp_path_factory):
 
 
 def export(*arguments):
-    """What is said, and the numbers that are written."""
+    """Return the output and the numbers of the command."""
     output = told("export", *arguments, "--json", "numbers.json")
     return output, json.loads(Path("numbers.json").read_text())
 

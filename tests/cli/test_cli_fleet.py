@@ -1,4 +1,4 @@
-"""`geodrake fleet`: what is said and written, and exit codes that a cron job understands."""
+"""`geodrake fleet`: output, files, and exit codes for a cron job."""
 
 import json
 import re
@@ -23,7 +23,7 @@ THREE = (STEADY, HEAVY, STICKY)
 
 @pytest.fixture(scope="module")
 def there(tmp_path_factory):
-    """A fleet whose digests are made."""
+    """Return the folder of a fleet with its digests."""
     folder = tmp_path_factory.mktemp("fleet")
     write_fleet(folder, robots=THREE)
     assert run("fleet", folder / "fleet.yaml", "-q", "--workers", "0").exit_code == 0

@@ -1,4 +1,4 @@
-"""`geodrake log`, and how commands read logs under other names and in other formats."""
+"""`geodrake log`, and logs with other names and formats in other commands."""
 
 import json
 import sys
@@ -22,7 +22,7 @@ OWN = "time,shoulder.position,elbow.position,shoulder.effort,elbow.effort"
 
 
 def table(seconds=24.0, rate=100.0):
-    """(N, 5) time, positions and efforts of the pendulum; at rest for 2 s."""
+    """Return (N, 5) time, positions and efforts of the pendulum, which rests for 2 s."""
     time = np.arange(round(seconds * rate)) / rate
     rates = np.array([1.3, 2.1])
     angle = np.maximum(time - 2.0, 0.0)[:, None] * rates
@@ -46,7 +46,7 @@ def nrms(*arguments):
 
 
 def shown(log):
-    """What is said of a log, the numbers of it, and the log into which it is converted."""
+    """Return what is said of a log, its numbers, and the log that is converted."""
     files = ("--json", "x.json", "--convert", "x.csv", "--figure", "x.png")
     output = told("log", log, "--model", PENDULUM, *files)
     with Image.open("x.png") as image:
@@ -73,7 +73,7 @@ def test_what_is_understood(tmp_path):
 
 
 def test_degrees_are_told_once(tmp_path):
-    """By the check of the columns, which corrects them, and not by sizes and limits again."""
+    """The check of columns corrects them, so that sizes and limits need not."""
     rows = table()
     rows[:, 1:3] = np.rad2deg(rows[:, 1:3])
     output = told("log", write(tmp_path / "log.csv", OWN, rows), "--model", PENDULUM)

@@ -67,7 +67,7 @@ def test_work_that_says_nothing_goes_on(capsys, monkeypatch):
 
 @pytest.fixture(scope="module")
 def pendulum(tmp_path_factory):
-    """Model and log of a pendulum with friction, whose search takes less time than the demo's."""
+    """Return the paths of a model and a short log with friction."""
     path = tmp_path_factory.mktemp("pendulum") / "log.csv"
     write_log(pendulum_log(1, friction((0.3, 0.2), (0.2, 0.1)), seconds=10.0), path)
     return str(PENDULUM), str(path)

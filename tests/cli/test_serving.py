@@ -1,4 +1,4 @@
-"""The server of a page: for this machine alone, and no client takes it for itself."""
+"""The server of a page serves this machine alone, and no client can block it."""
 
 import http.client
 import socket

@@ -1,4 +1,4 @@
-"""The commands of the tutorial, one after the other, on an arm whose truth is known."""
+"""Run the commands of the tutorial in turn, on an arm whose truth is known."""
 
 import re
 import shlex

@@ -1,4 +1,4 @@
-"""Scripts of `diagrams/`, as a user starts them or called in this process."""
+"""Run scripts of `diagrams/` as a user does, or in this process."""
 
 import subprocess
 import sys
@@ -15,7 +15,7 @@ SCRIPTS = {path.stem: f"diagrams.{path.parent.name}.{path.stem}" for path in FOL
 
 
 def start(name, *arguments):
-    """Runs a script in a process of its own; its exit code, and what it printed."""
+    """Run a script in a new process; return its exit code and output."""
     command = [sys.executable, "-m", SCRIPTS[name], *map(str, arguments)]
     here = {"PYTHONWARNINGS": "error", "PYTHONPATH": f"{ROOT}:{processes.PACKAGES}"}
     process = processes.start(command, seconds=300, **here)
@@ -24,7 +24,7 @@ def start(name, *arguments):
 
 
 def call(name, *arguments):
-    """Runs a script in this process, which has Python and Drake at hand; errors are raised."""
+    """Run a script in this process, where Python and Drake are loaded; errors are raised."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", f"{ROOT}:{processes.PACKAGES}")  # of its own processes
         patch.setattr(sys, "argv", [f"{name}.py", *map(str, arguments)])

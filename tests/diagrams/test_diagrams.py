@@ -1,7 +1,6 @@
 """Every script in `diagrams/` runs, shortened, and writes its numbers and figures.
 
-One script runs as a user starts it, in a process of its own. The others are called in this process,
-without a second start of Python and Drake.
+One script runs in a new process, as a user starts it; the others run in this process.
 """
 
 import json
@@ -23,7 +22,7 @@ APART = "body_distances"
 
 
 def reaches_its_bars(table):
-    """What few logs can tell: one of them is not right in 90 to 98 % of all."""
+    """A few logs tell little: in 90 to 98 % of all runs, one of them is wrong."""
     lines = {line["figure"]: line for line in table["lines"] if line["bar"] is not None}
     told = {figure: line["reached"] for figure, line in lines.items() if line["logs"]}
     del told["coverage of 95 % intervals, coloured noise"], told["said at 0.9 – 0.99: true"]
@@ -34,7 +33,7 @@ def reaches_its_bars(table):
 
 
 def takes_little_memory(table):
-    """Of which Python and Drake take more than the log."""
+    """Most of the memory is that of Python and Drake."""
     works = {"compare", "diagnose", "read csv", "read parquet"}
     assert {cost["work"] for cost in table} == works
     for cost in table:
@@ -43,7 +42,7 @@ def takes_little_memory(table):
 
 
 def digests_are_small_and_merge(table):
-    """Two digests are what a reading of both logs is, to rounding."""
+    """Two digests equal a reading of both logs up to rounding."""
     (cost,) = table
     assert cost["bytes"] < 2e5
     assert cost["merged"] < 1e-12
@@ -51,7 +50,6 @@ def digests_are_small_and_merge(table):
 
 
 def says_what_diagnose_names_and_days_tell(table):
-    """A fit to one run of a robot, another run, and an error of a third before and after."""
     assert table["named_afterwards"] == {"double pendulum": []}
     (pair,) = table["days"]
     assert pair["fit"] != pair["test"] and pair["steps"]
@@ -67,7 +65,6 @@ def finds_servos(table):
 
 
 def names_friction_and_tool_of_an_arm(table):
-    """All of what a short log hides, and nothing where there is nothing."""
     lines = {line["figure"]: line["value"] for line in table["lines"]}
     assert lines["ordinary: everything named"] == 1.0
     assert lines["tool's mass inside its interval"] == 1.0
@@ -83,26 +80,24 @@ def names_what_an_arm_hides(table):
 
 
 def logs_of_feet_agree_with_inverse_dynamics(table):
-    """What MuJoCo's inverse dynamics need, less the wrenches of the feet, is what motors give."""
+    """MuJoCo's inverse dynamics, less the wrenches of the feet, are the motors' efforts."""
     assert len(table["rows"]) == 2
     assert all(0.0 < row["inverse_error"] < 1e-9 for row in table["rows"])
 
 
 def finds_changes_of_a_fleet(table):
-    """All of what few robots of one type hide, and nothing where there is nothing."""
     assert table["summary"]["found"] == 1.0
     assert table["summary"]["robots with nothing that are named"] == 0
 
 
 def goes_on_where_it_was_killed(table):
-    """With the same results, and no digest made again."""
     found = table["summary"]
     assert found["the same results"] == found["runs"] > found["nothing killed"]
     assert found["digests made again"] == 0
 
 
 def orders_laws_as_the_source(table):
-    """Tracking: the natural law best, then the Euclidean one, then none."""
+    """The natural law tracks best, then the Euclidean one, then none."""
     rows = table.get("summary", table["rows"])
     for part in {row.get("part") for row in rows} - {"steps"}:
         rms = {row["law"]: row["rms"] for row in rows if row.get("part") == part}
@@ -111,7 +106,6 @@ def orders_laws_as_the_source(table):
 
 
 def adapts_to_a_sandbag_and_stays_physical(table):
-    """The order of the source, with no estimate of the natural law that no body could have."""
     orders_laws_as_the_source(table)
     (natural,) = (row for row in table["rows"] if row["law"] == "natural")
     assert natural["unphysical"] == 0.0
@@ -119,7 +113,7 @@ def adapts_to_a_sandbag_and_stays_physical(table):
 
 
 def orders_normalizations_as_the_source(table):
-    """Means over frames or base representations, of which one may be lucky."""
+    """Compare means over frames or base representations, as one may be lucky."""
     errors = {}
     for row in table["rows"]:
         if row.get("criterion", "e_optimality") == "e_optimality":
@@ -128,7 +122,7 @@ def orders_normalizations_as_the_source(table):
 
 
 def one_map_with_geometric_normalization_alone(table):
-    """In all coordinates; without it, the best motion is another one in each."""
+    """Without it, the best motion differs between coordinates."""
     rows = {}
     for row in table["rows"]:
         rows.setdefault(row["normalization"], []).append(row)
@@ -142,7 +136,6 @@ def one_map_with_geometric_normalization_alone(table):
 
 
 def identifies_less_but_better(table):
-    """What is reduced to what data tell is nearer to the truth than all parameters are."""
     assert 0 < table["identifiable"] < table["base_parameters"]
     rows = {row["way"]: row for row in table["rows"]}
     assert rows["reduced"]["error"] < rows["prior"]["error"] < 1e-2 * rows["full"]["error"]
@@ -150,7 +143,6 @@ def identifies_less_but_better(table):
 
 
 def survives_its_faults(table):
-    """Estimates stay near the truth, tracking comes back, and nothing is kept in memory."""
     for row in table["rows"]:
         if row["controller"] != "unguarded":
             assert row["faults"] >= 2
@@ -160,7 +152,6 @@ def survives_its_faults(table):
 
 
 def moves_as_the_arm_does(table):
-    """An order of magnitude nearer than a servo of second order, and as friction of gears asks."""
     ours, simple = (row["MSE, rad²"] for row in table["arm"])
     assert ours < 1e-4 and ours < 0.1 * simple
     assert table["pendulum"]["fitted, °"] < 1.8
@@ -168,7 +159,7 @@ def moves_as_the_arm_does(table):
 
 
 def newton_and_others_have_the_same_cost(table):
-    """Times are those of a busy machine: only the direction."""
+    """Check only the direction of times, which are those of a busy machine."""
     found = table["arm"]["from the factor"]
     assert abs(found["cost difference, drake"]) < 1e-6
     assert abs(found.get("cost difference, cvxpy", 0.0)) < 1e-4
@@ -181,7 +172,6 @@ def newton_and_others_have_the_same_cost(table):
 
 
 def euclidean_bodies_are_flat_and_far(table):
-    """At the same training residual; others are as near the truth as the prior is."""
     means = {(x["samples"], x["regularizer"]): x for x in table["summary"]}
     entropic, euclidean = (means[30, kind] for kind in ("entropic", "euclidean"))
     assert euclidean["training"] == pytest.approx(entropic["training"], rel=1e-4)
@@ -191,7 +181,6 @@ def euclidean_bodies_are_flat_and_far(table):
 
 
 def few_samples_need_a_distance_of_bodies(table):
-    """And all samples tell the same with every regularizer."""
     few = {row["regularizer"]: row for row in table if row["samples"] == 30 and row["stretch"]}
     euclidean = few["euclidean"]
     assert euclidean["median"] > euclidean["prior"]
@@ -217,7 +206,7 @@ def a_leg_predicts_the_gallop(table):
 
 
 def distances_of_bodies_know_no_frames_and_units(table):
-    """But the Euclidean one, which also grows with the mass."""
+    """The Euclidean distance depends on them, and grows with the mass."""
     spread = table["frames_and_units"]["largest_over_smallest_less_1"]
     geometric = ("pullback", "entropic", "riemannian")
     euclidean = ("euclidean, kg-m", "euclidean, inch-pound")
@@ -245,7 +234,7 @@ def reads_random_files_as_mujoco(table):
 
 
 def predicts_a_human_better_than_its_prior(tables):
-    """Blocks that were not fitted, with equal residuals and bodies that stay bodies."""
+    """Compare blocks that were not fitted, at equal residuals."""
     found = {line["regularizer"]: line for line in tables["errors"]}
     prior = (13.79, 2.09, 1.58)  # [Lee2019] table 3.1: N, cm, cm
     np.testing.assert_allclose(found["prior"]["test"], prior, atol=0.005)
@@ -266,7 +255,7 @@ def predicts_a_human_better_than_its_prior(tables):
 
 @dataclass(frozen=True)
 class Run:
-    """A script as it is run here."""
+    """A script, and how it is run."""
 
     shows: object = None  # what its numbers must show
     long: bool = False  # whether it takes more than 3 s of the processor
@@ -372,7 +361,6 @@ def test_absent_measurements_are_said_clearly(name, tmp_path, capsys):
 
 class TestRunScenario:
     def test_two_arms_and_a_crate(self, tmp_path):
-        """Both arms track, the crate rests until one comes to it, and the recording has all."""
         table = tmp_path / "table.json"
         call("run_scenario", "--quick", "--seed", 3, "--json", table, "--figures", tmp_path)
         found = json.loads(table.read_text(encoding="utf-8"))

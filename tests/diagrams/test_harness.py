@@ -1,4 +1,4 @@
-"""The frame of scripts, and the page of benchmarks."""
+"""The harness of scripts, and the page of benchmarks."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""Notebooks run from the first cell to the last, and come with the outputs of such a run."""
+"""Notebooks run from the first cell to the last, and contain the outputs of such a run."""
 
 import json
 import warnings
@@ -24,14 +24,14 @@ CELLS = {
 
 @cache
 def explained():
-    """What is found in the demo's log, which several notebooks begin with."""
+    """Explain the demo's log, with which several notebooks begin."""
     demo = files("geodrake") / "demo"
     return diagnosis.explain(load_model(demo / "demo.urdf"), [read_log(demo / "demo.csv")])
 
 
 @pytest.fixture
 def explain_once(monkeypatch):
-    """The demo is explained once a process; anything else is, whenever it is asked for."""
+    """Explain the demo once a process."""
     explain, first = diagnosis.explain, explained()
 
     def found(model, logs, **options):
@@ -45,7 +45,7 @@ def explain_once(monkeypatch):
 
 @pytest.fixture
 def names_after(tmp_path, monkeypatch):
-    """Runs the code cells of a notebook in one namespace, as far as models go in its folder."""
+    """Return a function that runs the cells of a notebook and returns its names."""
     (tmp_path / "diagrams" / "examples").mkdir(parents=True)
     (tmp_path / "models").symlink_to(ROOT / "models")
     monkeypatch.chdir(tmp_path / "diagrams" / "examples")

@@ -1,4 +1,4 @@
-"""The scenario of a file: built, simulated, and driven by messages of LCM."""
+"""Scenarios of a file: built, simulated, and driven by messages of LCM."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ swing:
 
 @pytest.fixture
 def small(tmp_path):
-    """A scenario of the pendulum alone, in a file."""
+    """Return the path of a scenario of the pendulum alone."""
     path = tmp_path / "small.yaml"
     path.write_text(SMALL)
     return path
@@ -65,7 +65,7 @@ def test_a_robot_follows_its_motion(small):
 
 
 def test_a_crate_is_pushed():
-    """Contact acts on both: the crate goes, and the arm tracks worse while it pushes."""
+    """Contact moves the crate, and the arm tracks worse while it pushes."""
     scenario = load_scenario(WORKCELL, "push")
     del scenario.robots["second"]
     arm = scenario.robots["arm"]
@@ -83,7 +83,7 @@ def test_a_crate_is_pushed():
 
 @pytest.mark.parametrize("gravity", ["", str(PENDULUM)])
 def test_a_loop_by_messages_follows_nearly_as_one_of_straight_lines(small, gravity):
-    """The first efforts are late, and so the arm falls for some steps."""
+    """The first efforts are late, so the arm falls for some steps."""
     scenario = load_scenario(small, None)
     control = scenario.robots["arm"].control
     control.law, control.factor = "none", 1.0
@@ -99,7 +99,7 @@ def test_a_loop_by_messages_follows_nearly_as_one_of_straight_lines(small, gravi
 
 
 def test_a_controller_drives_drakes_own_iiwa_driver(tmp_path):
-    """That of hardware_sim, in torque_only mode, which compensates gravity on its own."""
+    """In torque_only mode, the driver of hardware_sim compensates gravity itself."""
     urdf = (MODELS / "arm7.urdf").read_text()
     names = [part.split('"')[0] for part in urdf.split('<joint name="')[1:]]
     added = "".join(

@@ -1,4 +1,4 @@
-"""Studies and benchmarks: their robots, logs and measures."""
+"""Robots, logs and measures of studies and benchmarks."""
 
 import json
 import re
@@ -44,7 +44,7 @@ def arm():
 
 class TestArm:
     def test_regressor_gives_what_drake_needs(self, arm):
-        """Drake's inverse dynamics of the ten joints, virtual work, and rotors."""
+        """Compare with Drake's inverse dynamics of ten joints, virtual work, and rotors."""
         rng = np.random.default_rng(1)
         q, v, vd = (30.0 * rng.uniform(-1, 1, (6, 7)) for _ in range(3))
         torque = arm.regressor(Motion(q, v, vd)) @ arm.phi.ravel()
@@ -75,7 +75,7 @@ MODELS = Path(__file__).parents[2] / "models"
 
 
 def test_motion_of_a_leg_tells_32_combinations_and_its_base_wrench_more():
-    """Of 60, geared rotors counted; on a fixed base the wrench is not measured."""
+    """There are 60 with geared rotors; on a fixed base the wrench is not measured."""
     leg = cheetah.load_leg(gallop.GEARS)
     time = np.linspace(0.0, 1.0 / gallop.STRIDE, 200, endpoint=False)
     motion = gallop.leg_motion(time, gallop.PHASES["front_left"])
@@ -86,7 +86,7 @@ def test_motion_of_a_leg_tells_32_combinations_and_its_base_wrench_more():
 
 
 def test_quantities_are_the_inverse_dynamics():
-    """Of Drake's joints, rotors among them, which turn by the gear ratio."""
+    """Drake's plant has rotors, which turn by the gear ratio."""
     robot, motion = gallop.whole_robot(), gallop.gallop(np.array([0.05, 0.31]))
     assert robot.joints[6:] == gallop.ACTUATORS
     quantities, plant = gallop.quantities(robot, motion), robot.plant
@@ -152,7 +152,7 @@ class TestScara:
 
 class TestOneFoot:
     def test_motions_are_in_balance(self):
-        """By Drake's centre of mass at rest, and by the foot that stays where it is."""
+        """Drake's centre of mass is over the foot, which does not move."""
         stance, plan = atlas.standing_robot(None), atlas.Plan(None)
         motion = atlas.sampled(stance, atlas.one_motion(0, plan=plan), 30.0)
         plant, sole = stance.robot.plant, []
@@ -227,9 +227,9 @@ class TestLogs:
 
 
 def test_the_rivals_formulas_are_those_of_the_effects():
-    """Each effect with its parameters for a size is what the robot hides, where it moves.
+    """Compare each effect with the effort that the robot hides, where it moves.
 
-    Sizes are a tenth of the usual ones, at which a base turns as little as its rival says.
+    Sizes are a tenth of the usual ones, as a rival's base turns little.
     """
     rng = np.random.default_rng(2)
     for case in CASES:
@@ -247,7 +247,7 @@ def test_the_rivals_formulas_are_those_of_the_effects():
 
 
 def test_a_motion_in_one_direction_is_diagnosed():
-    """It has neither data nor a prior for some effects, which are left as they are."""
+    """For some effects there are neither data nor a prior, so they stay as they are."""
     case = next(case for case in CASES if case.motion == "sweep")
     motion = MOTIONS["sweep"][0](np.random.default_rng(0))
     log = study.measured(study.Draw(CASES.index(case), 0), "first", case.size, motion, study.FIRST)
@@ -256,7 +256,7 @@ def test_a_motion_in_one_direction_is_diagnosed():
 
 
 def test_the_command_that_diagnose_prints_designs_the_motion(tmp_path):
-    """From an ambiguous log to a motion file, with nothing but the command line."""
+    """The command line alone leads from an ambiguous log to a motion."""
     case = CASES[1]
     motion = MOTIONS[case.motion][0](np.random.default_rng(0))
     log = study.measured(study.Draw(1, 0), "first", case.size, motion, study.FIRST)
@@ -284,7 +284,7 @@ def test_controllers_are_compared(tmp_path):
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_faults_of_recording_change_a_log_and_keep_its_motion(fault):
-    """A spoiled log has rows in order, and most of them as they were measured."""
+    """Rows stay in order, and most of them as they were measured."""
     rng, time = np.random.default_rng(4), np.arange(0.0, 20.0, 0.008)
     angles = np.sin(time[:, None] * [1.1, 1.7])
     speeds = np.gradient(angles, time, axis=0) + 1e-3 * rng.normal(size=angles.shape)

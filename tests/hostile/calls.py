@@ -1,7 +1,7 @@
-"""Calls of everything that the packages export, made from signatures, with one wrong argument each.
+"""Calls of everything that the packages export, with one wrong argument each.
 
-A call gets good values by the names and types in its signature, as `good_values` has them; then one
-argument at a time is spoiled, in every way that its kind can be.
+Arguments get good values by the names and types in a signature, from `good_values`. Then one
+argument at a time is replaced in every way that its kind allows.
 """
 
 import importlib
@@ -48,19 +48,19 @@ class Call:
 
 
 class Anything:
-    """An object that is nothing that a function could want."""
+    """An object that no function accepts."""
 
     def __repr__(self):
         return "Anything()"
 
 
 class MissingError(Exception):
-    """No good value is known."""
+    """Raised if no good value is known."""
 
 
 @cache
 def exports():
-    """Name -> what the packages export, each once."""
+    """Return what the packages export, by name."""
     found = {}
     for each in pkgutil.walk_packages(geodrake.__path__, "geodrake."):
         if each.ispkg and not {*each.name.split(".")} & {*TABLES["apart"]}:
@@ -71,14 +71,14 @@ def exports():
 
 
 def is_plain(value):
-    """Whether a class only holds what a function made: it checks nothing."""
+    """Return whether a class only holds values, without checking any."""
     own = vars(value)
     checks = "__post_init__" in own or ("__init__" in own and not is_dataclass(value))
     return not checks and not any("__post_init__" in vars(base) for base in value.__mro__)
 
 
 def methods(name, value):
-    """Names of the methods of a class that check arguments."""
+    """Yield the names of the methods of a class that check arguments."""
     for method in dir(value):
         found = getattr(value, method)
         if method.startswith(("_", "calc_")) or not callable(found):
@@ -92,7 +92,7 @@ def methods(name, value):
 
 @cache
 def good_calls():
-    """Name -> good call of every function, class and method; why there is none of the others."""
+    """Return the good calls by name, and by name why others have none."""
     found, none = {}, {}
     for name, value in exports().items():
         if name in TABLES["bases"]:
@@ -119,7 +119,7 @@ def good_calls():
 
 
 def good_arguments(name, function):
-    """Good values of the arguments of a function that have any."""
+    """Return good values of the arguments of a function."""
     found, own = {}, BY_CALL.get(name, {})
     for key, parameter in inspect.signature(function).parameters.items():
         if parameter.kind is parameter.VAR_KEYWORD:
@@ -147,7 +147,7 @@ def fits(value, annotation):
 
 
 def special(name, function):
-    """Points of a manifold or law, which has its own dimension: x, y, v, b, rows and gradients."""
+    """Return points of a manifold or law, which has a dimension of its own."""
     owner = getattr(function, "__self__", None)
     if owner is None or inspect.isclass(owner):
         return {}
@@ -166,12 +166,12 @@ def special(name, function):
 
 
 def plain(value):
-    """A value, made anew if it must be."""
+    """Return a value, which is created first if each call needs a new one."""
     return value.make() if isinstance(value, Fresh) else value
 
 
 def by_type(annotation):
-    """A good value of an annotated type; None if none is known."""
+    """Return a good value of an annotated type; None if none is known."""
     annotation = re.sub(r"<class '(.*)'>", r"\1", annotation)
     for each in re.split(r" \| (?![^\[]*\])", annotation):
         kind = re.sub(r"^(?:geodrake|collections|pathlib)[\w.]*\.", "", each)
@@ -191,7 +191,7 @@ def by_type(annotation):
 
 
 def by_kind(annotation):
-    """A value of a number, words or an array, of whatever size."""
+    """Return a number, words or an array of any size."""
     for words, value in BY_KIND.items():
         if re.search(words, annotation):
             return value
@@ -200,7 +200,7 @@ def by_kind(annotation):
 
 @cache
 def made(kind):
-    """What an exported class or function makes of good arguments; None if none can."""
+    """Return what an exported class or function creates from good arguments; None if none does."""
     if kind in BY_TYPE:
         return BY_TYPE[kind]()
     if not re.fullmatch(r"(?!None$|Array)[A-Z]\w+", kind) or kind in _MAKING:
@@ -233,7 +233,7 @@ THINGS = {
 
 
 def spoiled(array, value):
-    """An array with a value in its last place."""
+    """Return an array with another value in its last place."""
     found = np.array(array, float)
     found[(-1,) * found.ndim] = value
     return found
@@ -326,7 +326,7 @@ WRONG = (
 
 
 def wrong_values(value):
-    """(words, wrong value, whether it cannot be right) in the place of a good one."""
+    """Yield words, a wrong value, and whether a call must refuse it."""
     _, make, but = next(each for each in WRONG if isinstance(value, each[0]))
     if isinstance(value, bool):
         return
@@ -336,7 +336,7 @@ def wrong_values(value):
 
 
 def wrong_calls(call):
-    """Every argument with every wrong value, its words, and whether it cannot be right."""
+    """Yield argument, words and value of each wrong call, and whether it must be refused."""
     parameters = inspect.signature(call.function).parameters
     for argument, value in call.arguments.items():
         annotation = str(parameters[argument].annotation)
@@ -347,7 +347,7 @@ def wrong_calls(call):
 
 
 def run(call, arguments):
-    """What a call returns for arguments by name."""
+    """Return the result of a call."""
     parameters = inspect.signature(call.function).parameters
     starred = [k for k in arguments if parameters[k].kind is inspect.Parameter.VAR_POSITIONAL]
     more = {key: value for key, value in arguments.items() if key not in starred}
@@ -355,7 +355,7 @@ def run(call, arguments):
 
 
 def ended(call, wrong=types.MappingProxyType({}), *, must=False):
-    """How a call ends, with an argument wrong or none: a class and words."""
+    """Return how a call ends, as a class and words."""
     arguments = {k: copied(v) for k, v in call.arguments.items()} | {**wrong}
     before = {k: v.copy() for k, v in arguments.items() if type(v) is np.ndarray}
     try:
@@ -386,13 +386,13 @@ def ended(call, wrong=types.MappingProxyType({}), *, must=False):
 
 
 def copied(value):
-    """A value as a call gets it: a copy, so that what it changes can be seen."""
+    """Return a copy, so that changes by the call can be seen."""
     value = plain(value)
     return value.copy() if isinstance(value, np.ndarray) else value
 
 
 def finite(result):
-    """Whether numbers that are returned are some; fields of objects may be infinite bounds."""
+    """Return whether numbers are finite; fields of objects may be infinite."""
     if isinstance(result, np.ndarray | float | complex | np.number):
         array = np.asarray(result)
         return array.dtype.kind not in "fc" or bool(
@@ -408,6 +408,6 @@ def _where(error):
 
 
 def outcomes(call) -> Iterator[tuple[str, str, str, str]]:
-    """Argument, wrong value, end and words of every wrong call of a function."""
+    """Yield argument, wrong value, end and words of every wrong call of a function."""
     for argument, words, wrong, must in wrong_calls(call):
         yield argument, words, *ended(call, {argument: wrong}, must=must)

@@ -1,6 +1,6 @@
-"""What rows of this folder share: columns of the same numbers are checked once.
+"""Check the columns of the same log once.
 
-Most files here hold the log of the same pendulum, in another format or under another name, and each
+Most files here hold the log of one pendulum in another format or under another name, and each
 command first searches its columns for mistakes.
 """
 
@@ -17,7 +17,7 @@ _SEARCH = command.found_columns
 
 
 def found_once(model, logs, settings):
-    """What `found_columns` returns, searched anew for other models, numbers or settings only."""
+    """Return the findings of `found_columns`, kept for the same model, numbers and settings."""
     if model.path.read_bytes() != PENDULUM.read_bytes():
         return _SEARCH(model, logs, settings)
     known = [getattr(model, f.name) for f in fields(model) if f.name not in ("plant", "path")]
@@ -40,7 +40,7 @@ def no_word_of_progress_on_a_busy_machine(monkeypatch):
 
 @pytest.fixture
 def filled(tmp_path, monkeypatch):
-    """The working directory, with what is in order."""
+    """Change to a folder of good files."""
     fill(tmp_path)
     monkeypatch.chdir(tmp_path)
     return tmp_path

@@ -1,4 +1,4 @@
-"""Small files that are in order, which rows, sweeps and the fuzzer change."""
+"""Small good files, which rows, sweeps and the fuzzer change."""
 
 import hashlib
 
@@ -98,7 +98,7 @@ MANY_EFFECTS = UNINFORMED.replace(
 
 
 def information(change=lambda matrix: None):
-    """Lines of an information matrix of the parameters above, changed."""
+    """Return an information matrix of the parameters above as YAML, after a change."""
     matrix = np.diag(np.arange(1.0, 20 + 1 + 2 + 1 + 2 + 10 + 1))
     change(matrix)
     return yaml.safe_dump({"information": matrix.tolist()}, default_flow_style=None, width=10**6)

@@ -1,7 +1,7 @@
-"""Good values of arguments, by the name or the type that a signature gives them.
+"""Good values of arguments, by their names or types.
 
-The robot is a double pendulum: 2 joints, 2 bodies, 5 samples. What has neither a name nor a type
-here is made by whatever function or class of the exports gives it (`calls.made`).
+The robot is a double pendulum: 2 joints, 2 bodies, 5 samples. Other values are created by the
+exported function or class that returns their type (`calls.made`).
 """
 
 import tempfile
@@ -43,13 +43,13 @@ SCATTER, NOISE = rng.normal(size=(60, 20)), 0.01 * rng.normal(size=60)
 
 @dataclass(frozen=True)
 class Fresh:
-    """What is made anew for every call."""
+    """A value that is created anew for every call."""
 
     make: Callable[[], object]
 
 
 def pendulum(time_step=0.0, **options):
-    """A plant of the double pendulum with a motor at each joint."""
+    """Return a plant of the double pendulum with a motor at each joint."""
     limits = dict.fromkeys(JOINTS, 100.0)
     return pendulum_plant(time_step, limits=limits, damping=0.0, **options)
 
@@ -58,7 +58,7 @@ _PLANTS = []
 
 
 def builder():
-    """A builder with a plant in it, which is then the last of the plants."""
+    """Return a builder with a plant in it, which becomes the last of the plants."""
     found = DiagramBuilder()
     _PLANTS.append(found.AddSystem(pendulum(1e-3)))
     return found
@@ -76,7 +76,7 @@ def model():
 
 @cache
 def log(seconds=12.0):
-    """A log that the model explains, so that a search in it soon ends."""
+    """Return a log that the model explains, so that searches soon end."""
     time, random = np.arange(round(50.0 * seconds)) / 50.0, np.random.default_rng(0)
     motion = Motion(*multisine(time, random, reach=0.5))
     effort = model().effort(motion) + 0.01 * random.standard_normal(motion.q.shape)
@@ -85,7 +85,7 @@ def log(seconds=12.0):
 
 @cache
 def folder():
-    """A folder with a file of each kind that is read."""
+    """Return a folder with a file of each kind that is read."""
     path = Path(tempfile.mkdtemp(prefix="geodrake_calls_"))
     fill(path)
     put(path, {"effect.py": EFFECT, "fleet.yaml": FLEET, "mapping.yaml": MAPPING})
@@ -154,7 +154,7 @@ def biped():
 
 
 def soft():
-    """The model with an elastic joint, which is fitted in rollouts."""
+    """Return the model with an elastic joint, which rollouts fit."""
     spring = FittedEffect(effects.JointElasticity("elbow"), np.array([1e-3]))
     return replace(model(), effects=(*model().effects, spring), information=None)
 
@@ -164,7 +164,7 @@ def friction(joint="shoulder"):
 
 
 def factor(*, measured=False):
-    """Information of a motion, with what was measured or without."""
+    """Return the information of a motion, with or without measured efforts."""
     motion = Motion(Q, V, VD)
     efforts = (model().effort(motion),) if measured else None
     return excitation.measurement_factor(target(), motion, efforts)

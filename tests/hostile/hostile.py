@@ -1,10 +1,9 @@
-"""Rows of the tables in this folder: an input that is wrong, unlucky or meant to harm, and its end.
+"""Rows of the tables in this folder: a command with bad input, and its end.
 
-Every row runs a command in a folder of its own that holds `robot.urdf`, `log.csv` and `other.csv`,
-all in order, and `kept.yaml`, `kept.json` and `kept.html` from before. Whatever the input, the
-command must end in time, with the exit code and the words of the row, without a traceback, without
-calling it a bug of geodrake, without a control character on the terminal, and without a number that
-is none. A command that fails leaves every file as it was.
+Each command runs in a folder of good files: `robot.urdf`, `log.csv`, `other.csv`, and the older
+`kept.yaml`, `kept.json` and `kept.html`. It must end in time, with the exit code and the words of
+its row, and without a traceback, a control character on the terminal, or a number that is not
+finite. A command that fails leaves every file as it was.
 """
 
 import json
@@ -38,19 +37,18 @@ Files = Mapping[str, str | bytes | Callable[[Path], object]]
 
 @dataclass(frozen=True)
 class Row:
-    """One input, and what must become of it.
+    """One command, and how it must end.
 
     Attributes:
-        name: What the input is, in words.
-        command: What follows `geodrake`, as typed in a shell in the folder.
-        says: Words that must be in what is printed; on standard error if the command fails.
-        make: The input: files, or a function that makes them in the folder.
+        name: The input in words.
+        command: The words after `geodrake`, as typed in a shell in the folder.
+        says: Words that must be printed; on standard error if the command fails.
+        make: The input: files, or a function that creates them in the folder.
         code: Exit code; None for 0 or 2.
-        writes: Files that the command writes, None for any; one that fails writes a proposed
-            mapping at most, which is not named.
-        apart: Whether it runs in a copy of this process, such as what once ended the process.
-        environment: Variables of that copy, or else of a process that is started for it, of
-            which None takes one out.
+        writes: Files that the command writes, None for any. One that fails writes at most a
+            proposed mapping.
+        apart: Whether it runs in a copy of this process, as it might end the process.
+        environment: Variables of that copy or of a new process; None removes one.
     """
 
     name: str
@@ -66,14 +64,14 @@ class Row:
         return self.name
 
     def run(self):
-        """Exit code, standard output and standard error of the command."""
+        """Return exit code, standard output and standard error of the command."""
         arguments = shlex.split(self.command)
         if self.apart:
             return run_forked(arguments, lambda: os.environ.update(self.environment))
         return run_started(arguments, self.environment) if self.environment else run_here(arguments)
 
     def check(self, folder):
-        """Run the row in an empty folder and assert all that is promised; return the folder."""
+        """Run the row in an empty folder and check its end; return the folder."""
         fill(folder)
         if callable(self.make):
             self.make(folder)
@@ -103,7 +101,7 @@ class Row:
 
 
 def put(folder, files: Files):
-    """Make files in a folder."""
+    """Create files in a folder."""
     for name, content in files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -117,19 +115,19 @@ def put(folder, files: Files):
 
 
 def link(target):
-    """What makes a link to a target."""
+    """Return a function that creates a link to a target."""
     return lambda path: path.symlink_to(target)
 
 
 def fill(folder):
-    """Put what is in order into a folder."""
+    """Create the good files."""
     logs = {"log.csv": _log_file(1), "other.csv": _log_file(2)}
     put(folder, {"robot.urdf": PENDULUM.read_bytes(), **logs, **KEPT})
 
 
 @cache
 def _table(seed, seconds, rate):
-    """A motion and efforts with friction in them."""
+    """Return a motion and efforts with friction."""
     rng = np.random.default_rng(seed)
     time = np.arange(round(seconds * rate)) / rate
     rates = 2 * np.pi * np.array([0.13, 0.31, 0.53])[:, None]
@@ -144,12 +142,12 @@ def _table(seed, seconds, rate):
 
 
 def table(*, seed=1, seconds=24.0, rate=100.0):
-    """(N, 5) rows of a log of the pendulum, as `HEADER` has its columns."""
+    """Return (N, 5) rows of a log of the pendulum, with the columns of `HEADER`."""
     return _table(seed, seconds, rate).copy()
 
 
 def write_log(path, rows, header=HEADER):
-    """Write rows of numbers, or of anything that has words, as a CSV file."""
+    """Write rows as a CSV file."""
     path.write_bytes(csv(rows, header))
     return path
 
@@ -165,7 +163,7 @@ def _log_file(seed):
 
 
 def contents(folder):
-    """Every path below a folder, hidden ones too, with what it is and what is in it."""
+    """Return the kind and content of every path below a folder."""
     found = {}
     for path in sorted(folder.rglob("*")):
         status = path.lstat()
@@ -180,12 +178,12 @@ def contents(folder):
 
 
 def changed(before, after):
-    """Names of what is new, gone or different."""
+    """Return the names of new, missing and different paths."""
     return {name for name in before.keys() | after if before.get(name) != after.get(name)}
 
 
 def check_words(out, err):
-    """No traceback, no excuse, no control character, no number that is none."""
+    """Refuse tracebacks, control characters, and numbers that are not finite."""
     both = out + err
     assert "Traceback" not in both, f"traceback: {both}"
     assert "Internal error" not in both, f"internal error: {both}"
@@ -194,7 +192,7 @@ def check_words(out, err):
 
 
 def read_json(path):
-    """A JSON file in which every number is finite, and every null has a reason."""
+    """Return a JSON file in which every number is finite and every null has a reason."""
 
     def refuse(constant):
         raise AssertionError(f"{path} holds {constant}")
@@ -207,7 +205,7 @@ def read_json(path):
 
 
 def _nulls(value, place):
-    """JSON pointers of all nulls."""
+    """Yield JSON pointers of all nulls."""
     if value is None:
         yield place
     pairs = value.items() if isinstance(value, dict) else ()

@@ -1,4 +1,4 @@
-"""What stands in the files of rows: good files of every kind, changed, broken or meant to harm."""
+"""Contents of the files in rows: good files of every kind, changed, broken or malicious."""
 
 import gzip  # noqa: F401 (for rows)
 import io
@@ -20,13 +20,13 @@ GOOD["UNINFORMED"] = UNINFORMED
 
 
 def changed(base, old, new, count=-1):
-    """A good file with another text in the place of one, everywhere or so many times."""
+    """Return a good file in which one text replaces another, everywhere or `count` times."""
     assert old in GOOD[base], old
     return GOOD[base].replace(old, new, count)
 
 
 def log(code, *, rows=2400, velocity=False):
-    """A log whose time t, positions q, velocities v and efforts e some code has changed."""
+    """Return a writer of a log whose time t, positions q, velocities v and efforts e change."""
 
     def write(path):
         data = table()[:rows]
@@ -46,7 +46,7 @@ BODY = "\n".join(LINES) + "\n"
 
 
 def cell(content):
-    """A log that has something else in row 6."""
+    """Return a log with other content in row 6."""
     return BODY.replace("\n0.05,", f"\n{content},", 1)
 
 
@@ -55,7 +55,7 @@ def header(content):
 
 
 def saved(save, *given, **more):
-    """Bytes that a function of NumPy saves."""
+    """Return the bytes that a function of NumPy saves."""
     file = io.BytesIO()
     save(file, *given, **more)
     return file.getvalue()
@@ -66,13 +66,13 @@ def arrays():
 
 
 def npz(code=""):
-    """An archive whose arrays `a` some code has changed."""
+    """Return an archive whose arrays `a` some code changes."""
     exec(code, {"np": np, "a": (found := arrays())})
     return saved(np.savez, **found)
 
 
 def members(change=lambda name, data: data, *, called=("{}.npy",), **settings):
-    """An archive of members with other contents or names."""
+    """Return an archive of members with other contents or names."""
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", **settings) as archive:
         for (name, array), form in product(arrays().items(), called):
@@ -81,7 +81,7 @@ def members(change=lambda name, data: data, *, called=("{}.npy",), **settings):
 
 
 def only(wanted, new):
-    """Other contents for one member."""
+    """Return an archive with other contents of one member."""
     return members(lambda name, data: new(data) if name == wanted else data)
 
 
@@ -91,18 +91,18 @@ def array_header(shape, descr="<f8"):
 
 
 def claiming(shape, descr="<f8"):
-    """Another header for the elbow's effort."""
+    """Return an archive with another header for the elbow's effort."""
     return only("elbow.effort", lambda data: array_header(shape, descr) + data[128:])
 
 
 def encrypted():
-    """An archive whose directory says that its members are encrypted."""
+    """Return an archive whose directory says that its members are encrypted."""
     first, *parts = npz().split(b"PK\x01\x02")
     return b"PK\x01\x02".join([first, *(part[:4] + b"\1" + part[5:] for part in parts)])
 
 
 def bomb(path):
-    """Columns of zeros, of which one says that it has six gigabytes."""
+    """Write columns of zeros, one of which claims six gigabytes."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
         for name in arrays():
             shape = (750_000_000 if name == "elbow.effort" else 2**22,)
@@ -110,7 +110,7 @@ def bomb(path):
 
 
 def damaged():
-    """An archive with another byte in an array."""
+    """Return an archive with one byte changed in an array."""
     data = bytearray(npz())
     data[data.index(b"shoulder.effort") + 3000] ^= 255
     return bytes(data)
@@ -130,7 +130,7 @@ def sparse(size):
 
 
 def chain(count, last):
-    """SDF files each of which includes the next, and the last the one of a number."""
+    """Return a writer of SDF files that include each other in turn."""
 
     def make(path):
         names = ["bad", *map(str, range(1, count)), last]
@@ -147,7 +147,7 @@ def doubling(path):
 
 
 def many_links(count):
-    """A chain of links."""
+    """Return a chain of links."""
     links = "".join(f'<link name="l{k}"/>' for k in range(count + 1))
     joints = "".join(
         f'<joint name="j{k}" type="revolute"><parent link="l{k}"/><child link="l{k + 1}"/></joint>'
@@ -168,19 +168,19 @@ TWICE = """effects:
 
 
 def anchors(form):
-    """Anchors, each of which unfolds to nine of the one before."""
+    """Return anchors, each of which expands to nine of the previous one."""
     names = pairwise("abcdefghijk")
     lines = (f"_{b}: &{b} {form.format(', '.join([f'*{a}'] * 9))}\n" for a, b in names)
     return "".join(lines)
 
 
 def informed(code):
-    """A saved model with an information matrix `m` that some code has changed."""
+    """Return a saved model with an information matrix `m` that some code changes."""
     return UNINFORMED + information(lambda matrix: exec(code, {"np": np, "m": matrix}))
 
 
 def damage(good, word, head):
-    """Kind of damage to a YAML file, or to a word in it -> what the file then holds."""
+    """Return YAML files by the kind of damage to them, or to one word."""
     return {
         "null characters": good.replace(word, "a\0b"),
         "bytes that are no UTF-8": good.encode().replace(word.encode(), b"a\xff\xfe"),
@@ -198,7 +198,7 @@ def damage(good, word, head):
 
 
 class Maker(yaml.SafeLoader):
-    """A reader of rows: `!made` is an expression, another tag calls a function of this module."""
+    """A loader of rows: `!made` is an expression, other tags call functions of this module."""
 
 
 def _construct(loader, name, node):
@@ -220,7 +220,7 @@ TOLD = {"rows": (), "command": "", "file": "", "says": ()}
 
 
 def read_rows():
-    """Rows of all files, in which a file's content is its text or what a tag makes."""
+    """Yield the rows of all files; a file's content is text or created by a tag."""
     for path in sorted(ROWS.glob("*.yaml")):
         for group in yaml.load(path.read_text(encoding="utf-8"), Maker):
             listed, command, file, says = map(group.pop, *zip(*TOLD.items(), strict=True))

@@ -1,4 +1,4 @@
-"""Wrong calls of everything exported: they end in an error of geodrake, or in a finite result."""
+"""Wrong calls of all exports end in an error of geodrake, or in a finite result."""
 
 import pytest
 from calls import HELD, TABLES, UNCALLED, ended, exports, good_calls, outcomes
@@ -8,7 +8,7 @@ PARTS = 5  # among which calls are dealt out, quick ones and slow ones
 
 
 def held(call):
-    """The ends of wrong calls that may not be."""
+    """Yield the ends of wrong calls that are not allowed."""
     for argument, words, end, told in outcomes(call):
         what = f"{call.name}({argument} = {words})"
         asked = call.name.endswith(".contains") and words == "NaN at one place"
@@ -17,7 +17,7 @@ def held(call):
 
 
 def dealt_out(part, *, slow):
-    """The calls of a part."""
+    """Return the calls of a part."""
     return [call for call in good_calls()[0].values() if call.is_slow == slow][part::PARTS]
 
 

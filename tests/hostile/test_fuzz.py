@@ -61,7 +61,7 @@ FILES = {
 
 @st.composite
 def cases(draw, kind):
-    """Bytes of a good file of a kind after one to four changes, and a command that reads it."""
+    """Return a good file after one to four changes, and a command that reads it."""
     data = FILES[kind][1] if kind.endswith("log") else FILES[kind][1].encode()
     for _ in range(draw(st.integers(1, 4))):
         if draw(st.integers(0, 5)) == 0:
@@ -75,7 +75,7 @@ def cases(draw, kind):
 
 
 def words(kind, command):
-    """What follows `geodrake` for a command that reads the file of a kind."""
+    """Return the arguments of a command that reads a kind of file."""
     given = {"model": "robot.urdf", "log": "log.csv", "effects": ""}
     if kind == "file of effects":
         given["effects"] = f"--effects {FILES[kind][0]}"
@@ -87,7 +87,7 @@ def words(kind, command):
 
 @st.composite
 def changed_text(draw, text):
-    """A text with a number, a word, some lines or a stretch changed."""
+    """Return a text with a change of a number, a word, some lines or a part."""
     how = draw(st.sampled_from(("number", "number", "word", "gone", "twice", "swap", "cut", "put")))
     tokens, lines = list(TOKEN.finditer(text)), text.splitlines(keepends=True)
     if how in ("number", "word"):
@@ -110,7 +110,7 @@ def changed_text(draw, text):
 
 @st.composite
 def changed_bytes(draw, data):
-    """Bytes with some of them left out and others put in."""
+    """Return bytes of which some are removed and others inserted."""
     at = draw(st.integers(0, len(data)))
     length = draw(st.sampled_from((0, 1, 4, 64)))
     return data[:at] + draw(st.binary(max_size=8)) + data[at + length :]
@@ -118,7 +118,7 @@ def changed_bytes(draw, data):
 
 @st.composite
 def changed_arrays(draw, data):
-    """An NPZ file with an array of another type, shape, name, length or content."""
+    """Return an NPZ file with an array of another type, shape, name, length or content."""
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
@@ -149,7 +149,7 @@ def changed_arrays(draw, data):
 
 @pytest.fixture(scope="module", autouse=True)
 def everything_is_imported(tmp_path_factory):
-    """Run every command once, so that copies of this process find all modules imported."""
+    """Run every command once, so that copies of this process need not import anything."""
     for command in dict.fromkeys(COMMANDS):
         row = Row(command, words("CSV log", command), code=0, writes=WRITES)
         row.check(tmp_path_factory.mktemp("good"))

@@ -1,4 +1,4 @@
-"""Names and options that are wrong, unlucky or meant to harm."""
+"""Bad, unlucky and malicious names and options."""
 
 import os
 import shlex
@@ -24,7 +24,7 @@ from geodrake.fleet import digest_files, read_digest
 
 
 def rename(folder, *, shoulder, link):
-    """Give a joint and a link of the model another name, and the joint of the log."""
+    """Rename a joint and a link of the model, and the joint in the log."""
     text = PENDULUM.read_text(encoding="utf-8")
     for old, new in {"shoulder": shoulder, "upper_link": link}.items():
         attribute = quoteattr(new, {"\n": "&#10;", "\r": "&#13;", "\t": "&#9;"})
@@ -200,7 +200,7 @@ FILES = {"model": "robot.urdf", "logs": "log.csv", "fleet": "fleet.yaml"}
 
 
 def parameters():
-    """(command, name, kind) of each option and argument that has a value, at one command each."""
+    """Return command, name and kind of all options and arguments with values, each once."""
     found = {}
     for command, made in typer.main.get_command(app).commands.items():
         for each in made.params if command in COMMANDS else ():

@@ -1,4 +1,4 @@
-"""Files that are wrong, unlucky or meant to harm, and commands that take them: rows are data."""
+"""Commands with bad, unlucky and malicious files, which are rows of data."""
 
 import os
 from dataclasses import replace
@@ -32,7 +32,7 @@ def test_row(row, tmp_path):
 
 
 def test_efforts_in_other_units_are_simulated(tmp_path, monkeypatch):
-    """The robot flies apart, in ever smaller steps, of which there are fewer here."""
+    """The robot diverges in ever smaller steps; the test allows fewer of them."""
     monkeypatch.setattr(stepping, "_FINEST", 1)
     command, says = (
         "rollout robot.urdf x.csv --json new.json",

@@ -1,4 +1,4 @@
-"""Where a command runs: folders, disks, settings, streams and terminal, and what stops it."""
+"""Folders, disks, settings, streams and terminals of commands, and signals."""
 
 import errno
 import fcntl
@@ -71,7 +71,7 @@ def test_a_working_directory_that_is_gone(filled):
 
 
 def test_a_narrow_terminal_shows_no_name_raw(filled, monkeypatch):
-    """A terminal gets the sequences of the progress bar and of bold letters, no others."""
+    """A terminal gets only the sequences of the progress bar and of bold letters."""
     log, blocks = "\x1b]0;owned\x07\x9bx.csv", []
     (filled / "log.csv").rename(log)
     monkeypatch.setenv("COLUMNS", "10")
@@ -218,7 +218,7 @@ SIGNALS = {
 
 
 def started(arguments, code=""):
-    """A command in a process of its own, after code, with a folder for its temporary files."""
+    """Start a command in a new process, after some code, with a folder for temporary files."""
     (passing := Path("passing").absolute()).mkdir()
     # Jobs of a shell in the background ignore interrupts, and so do their children.
     heard = "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)"
@@ -227,7 +227,7 @@ def started(arguments, code=""):
 
 
 def worked(run, seconds):
-    """Wait until a process has worked for some seconds, however busy the machine is, or ended."""
+    """Wait until a process ends or has used some seconds of CPU time."""
     clock, told = os.sysconf("SC_CLK_TCK"), Path(f"/proc/{run.pid}/stat")
     if not told.exists():  # no Linux
         time.sleep(seconds)
@@ -240,7 +240,7 @@ def worked(run, seconds):
 
 
 def others(before):
-    """Names of files that are no longer as they were."""
+    """Return the names of files that have changed."""
     return changed(before, contents(Path())) - {"passing"}
 
 

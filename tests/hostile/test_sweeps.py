@@ -1,7 +1,6 @@
-"""Every value and part of a good file: one at a time wrong, left out or repeated.
+"""Good files with one value or part wrong, missing or repeated.
 
-What reads the file refuses it in one line that names it, or gets a model with numbers that are some
-and bodies that are physical. The rows of the other files are of what no such change makes.
+A reader refuses the file in one line that names it, or returns finite numbers and physical bodies.
 """
 
 import copy
@@ -39,7 +38,7 @@ def is_numbers(text):
 
 
 def wrong_texts(text):
-    """What stands in the place of numbers or a word, by name."""
+    """Return replacements for numbers or a word, by name."""
     if not is_numbers(text):
         return {f"word {word[:9]!r}": word for word in WORDS}
     parts = text.split()
@@ -48,7 +47,7 @@ def wrong_texts(text):
 
 
 def xml_changes(text):
-    """(name, text) of an XML file with one change; of like elements, the last is changed."""
+    """Yield (name, text) of an XML file with one change, in the last of similar elements."""
     root = _root(text)
     parents = {child: parent for parent in root.iter() for child in parent}
     last = {(node.tag, getattr(parents.get(node), "tag", "")): node for node in root.iter()}
@@ -87,7 +86,7 @@ def _text(root):
 
 
 def yaml_changes(text):
-    """(name, text) of a YAML file with one change; of long lists the ends are changed."""
+    """Yield (name, text) of a YAML file with one change, at the ends of long lists."""
     data = yaml.safe_load(text)
     for owner, key in list(_places(data)):
         kept = copy.copy(owner)
@@ -109,7 +108,7 @@ def yaml_changes(text):
 
 
 def _places(data):
-    """Where values are: their owner, and their key or place."""
+    """Yield the owner and the key of each value."""
     pairs = list(data.items()) if isinstance(data, dict) else []
     if isinstance(data, list) and data:
         pairs = [(k, data[k]) for k in sorted({0, len(data) - 1})]
@@ -123,7 +122,7 @@ def _dumped(data):
 
 
 def read_model(path):
-    """Read a model, which moves with efforts that are numbers."""
+    """Read a model, whose efforts must be finite."""
     model = load_model(path)
     n = len(model.joints)
     assert n and np.all(is_physical(model.with_volume.phi)), model.phi
@@ -152,7 +151,7 @@ MANY = 20  # places of a file in which one change is tried; of more, others by e
 
 @cache
 def changed_texts(name):
-    """Name of a change -> a file's texts with it, one for each place."""
+    """Return the texts of a file by the name of the change, one for each place."""
     good, changes, _ = FILES[name]
     found = defaultdict(list)
     for change, text in changes(good):
@@ -161,7 +160,7 @@ def changed_texts(name):
 
 
 def ended(path, read):
-    """Whether a file is read or refused, in one line that names it."""
+    """Return whether a file is read or refused, in one line that names it."""
     try:
         with warnings.catch_warnings(), time_limit(path.name):
             warnings.simplefilter("error")
@@ -183,7 +182,7 @@ def test_the_good_file(name, tmp_path):
 @pytest.mark.sampled(PARTS)
 @pytest.mark.parametrize(("name", "part"), list(product(FILES, range(PARTS))))
 def test_one_change(name, part, tmp_path):
-    """Every so many kinds of changes, in some places of the file each."""
+    """Test a part of the kinds of changes, each at some places of the file."""
     fill(tmp_path)
     path, read, changes = tmp_path / name, FILES[name][-1], changed_texts(name)
     for first, change in list(enumerate(sorted(changes)))[part::PARTS]:

@@ -1,4 +1,4 @@
-"""What names of columns say, and which joints of a model they are of."""
+"""Meanings of column names, and the joints of a model that they name."""
 
 import re
 

@@ -396,7 +396,7 @@ def test_bandwidth_holds_the_motion(highest, noise):
 
 
 def test_bandwidth_holds_a_gait_beside_a_slow_sway():
-    """The spectrum is low between the two, and not for noise."""
+    """The spectrum is low between the two, but not noise."""
     sway, gait = _motion(0.4, 1e-5), _motion(10.0, 0.0)
     begins = 0.5 + 0.5 * np.tanh(2.0 * np.linspace(-20.0, 20.0, len(gait)))[:, None]
     for pieces in ([sway, sway + gait], [sway + begins * gait]):
@@ -404,7 +404,7 @@ def test_bandwidth_holds_a_gait_beside_a_slow_sway():
 
 
 def test_bandwidth_holds_a_trot_that_positions_hardly_show_beside_a_sway():
-    """Its impacts shake the robot at all frequencies, so that nothing is as quiet as the sway."""
+    """Impacts excite all frequencies, so that none is as quiet as the sway."""
     count, rng = 8000, np.random.default_rng(0)
     rates = np.fft.rfftfreq(count, 0.005)
     at = 0.23, 0.29, 0.41, 0.59, 0.93, 1.2, 1.5, 2.1, 2.8, 4.2, 5.0, 10.0, 100.0
@@ -416,7 +416,7 @@ def test_bandwidth_holds_a_trot_that_positions_hardly_show_beside_a_sway():
 
 
 def long_log(samples, *, velocity=False, seed=0):
-    """Sines with dry friction, at 500 Hz with jitter."""
+    """Return sines with dry friction, at 500 Hz with jitter."""
     rng = np.random.default_rng(seed)
     time = np.cumsum(rng.choice([0.002, 0.0021], samples))
     phase = np.array([2.0, 3.3]) * time[:, None]
@@ -454,7 +454,7 @@ def test_what_is_kept_of_a_short_log_cannot_be_written_to():
 
 
 def test_memory_grows_with_the_log_alone(monkeypatch, tmp_path):
-    """A sample of two joints is 40 bytes; smoothed copies and regressors would be hundreds more."""
+    """A sample of two joints takes 40 bytes; smoothed copies would take hundreds."""
     for module in (smoothing, reduce):
         monkeypatch.setattr(module, "CHUNK", 5_000)
     monkeypatch.setattr(smoothing, "_KEPT", 5_000)

@@ -1,4 +1,4 @@
-"""Currents, voltages, duty cycles, commands and temperatures: read for what they are."""
+"""Currents, voltages, duty cycles, commands and temperatures in logs."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ C = Q + 0.01 * S
 
 
 def frame(**columns):
-    """`time`, and columns of two joints by the form of their names."""
+    """Return `time`, and columns of two joints by the forms of their names."""
     found = {"time": TIME}
     for form, values in columns.items():
         found |= {form.replace("_J", f"_{k}"): values[:, k] for k in range(2)}

@@ -653,7 +653,7 @@ def test_a_log_without_a_model_has_the_joints_that_its_cells_name(tmp_path):
 
 @pytest.mark.parametrize("first", [0.0, 5.0])  # s at which the second joint begins
 def test_one_joint_after_the_other_is_no_row_a_joint(read_table, first):
-    """Where the other joint is meanwhile is unknown."""
+    """Positions of the other joint are unknown meanwhile."""
     base, elbow = (A_ROW_A_JOINT[k::2] for k in (0, 1))
     with pytest.raises(LogError, match=r"the joints in 'joint' follow each other in time"):
         read_table(pandas.concat([base, elbow.assign(time=elbow["time"] + first)[:-15]]))
@@ -967,7 +967,7 @@ MARKS = {
 
 
 def marked(tmp_path, kind, turns=2000.0, positions=None):
-    """A table of degrees and N·mm with marks between thousands, `positions` written otherwise."""
+    """Return a table of degrees and N·mm with thousands separators."""
     separator, form, swap = MARKS[kind]
     numbers = np.column_stack([1000.0 * (5.0 + TIME), turns * POSITION, 3000.0 * EFFORT])
     swapped = str.maketrans(dict(zip(swap[::2], swap[1::2], strict=False)) if swap else {})
