@@ -26,11 +26,11 @@ from pydrake.systems.framework import System
 import geodrake
 from geodrake.errors import GeodrakeError
 
-SECONDS = 20  # of the processor, for a call
+SECONDS = 20  # CPU time of a call
 HELD = ("own error", "accepted")
 INSIDE = (TypeError, IndexError, AttributeError, KeyError)
 TABLES = yaml.safe_load((Path(__file__).parent / "calls.yaml").read_text("utf-8"))
-"""What is called and how, and what is not, each with a line that says so."""
+"""Lists of what is called and what is not."""
 UNCALLED = TABLES["uncalled"]
 
 
@@ -229,7 +229,7 @@ THINGS = {
     **{"a text": "text", "an object": Anything(), "a dict": {"a": 1.0}, "a function": len},
     **{"bytes": b"1.0", "nothing": None, "a number": 3},
 }
-"""Things that are wrong in most places."""
+"""Values that are wrong for most arguments."""
 
 
 def spoiled(array, value):
@@ -322,7 +322,7 @@ WRONG = (
     (Callable, lambda _: ({}, {"an empty list": []}), ("a function",)),
     (object, lambda _: ({}, {"an empty list": []}), ()),
 )
-"""Class of a good value, what makes wrong ones of it, and things that are none."""
+"""Class of a good value, a function that returns wrong ones, and things that are good there."""
 
 
 def wrong_values(value):

@@ -228,7 +228,7 @@ BY_KIND = {
     r"(Sequence|tuple)\[str": JOINTS,
     r"\bstr\b": JOINTS[0],
 }
-"""Words of an annotation -> a value of an argument that must be given and needs no other."""
+"""Words of an annotation -> a value of a required argument."""
 BY_NAME = {
     "phi": PHI, "phi1": PHI, "phi2": 1.2 * PHI, "reference": PHI, "prior": PHI, "covector": PHI,
     "R_AB": np.eye(3), "p_AoBo_A": np.array([0.1, 0.2, 0.3]), "com": COM, "inertia_com": MOMENT,
@@ -254,7 +254,7 @@ BY_NAME = {
     "path": in_folder("log.csv"), "regularizer": "entropic", "theta": Q,
     "signal": V, "starts": ("entropic",), "kept": 2, "texts": ("table=box:0.6,0.8,0.05@0.5,0,0.4",),
 }  # fmt: skip
-"""Name of an argument -> its value, whatever function has it."""
+"""Name of an argument -> its value in any function."""
 
 IN_FOLDER = {
     "read_mapping": "mapping.yaml", "save_export": "new.urdf",
@@ -263,7 +263,7 @@ IN_FOLDER = {
     "read_fleet": "fleet.yaml", "read_digest": "x.digest", "load_description": PENDULUM,
     "read_description": PENDULUM,
 }  # fmt: skip
-"""Name of a callable -> the file in the folder that is its path."""
+"""Name of a callable -> the file in the folder that it reads or writes."""
 BY_CALL = {
     **{call: {"path": in_folder(name)} for call, name in IN_FOLDER.items()},
     "FilteredRegressor": {"period": 0.001},

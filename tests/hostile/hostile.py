@@ -32,7 +32,7 @@ _NO_NUMBER = re.compile(r"(?<![\w.'\"])[-+]?(nan|inf)(?![\w'\"])")
 
 
 Files = Mapping[str, str | bytes | Callable[[Path], object]]
-"""Name of a file -> what is in it, or what makes it at its path."""
+"""Name of a file -> its content, or a function that creates it."""
 
 
 @dataclass(frozen=True)

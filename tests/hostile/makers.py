@@ -216,7 +216,7 @@ Maker.add_multi_constructor("!", _construct)
 
 
 TOLD = {"rows": (), "command": "", "file": "", "says": ()}
-"""What a group of rows says beside fields of a `Row`, or not."""
+"""Keys of a group of rows besides the fields of a `Row`."""
 
 
 def read_rows():

@@ -56,7 +56,7 @@ FILES = {
     "saved model": ("robot.yaml", SAVED),
     "file of effects": ("effects.py", EFFECT),
 }
-"""Kind of file -> its name, and what is in it before anything was changed."""
+"""Kind of file -> its name and good content."""
 
 
 @st.composite

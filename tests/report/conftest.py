@@ -1,4 +1,4 @@
-"""A log of the demo played over its arm, as its file has it and with effects; a browser."""
+"""Models and a log of the demo, and a browser."""
 
 import os
 import shutil
@@ -35,7 +35,7 @@ def after(before):
 
 @pytest.fixture(scope="session")
 def cut():
-    """The first seconds of the log."""
+    """Return the first seconds of the log."""
     log, few = read_log(LOG), slice(None, 900)
     arrays = {name: getattr(log, name)[few] for name in ("time", "position", "effort", "velocity")}
     return replace(log, **arrays, acceleration=None)
@@ -48,7 +48,7 @@ def short(before, after, cut):
 
 @pytest.fixture(scope="module")
 def browser():
-    """Chromium, driven by playwright; tests are skipped where either is not installed."""
+    """Start Chromium with playwright; skip tests where either is not installed."""
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     names = ("chromium", "chromium-browser", "google-chrome")
     path = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, names)), None)

@@ -1,4 +1,4 @@
-"""Charts and bars: small, true to the data, and with the stretches in which a model fails."""
+"""Charts and bars: small, true to the data, and marked where a model fails."""
 
 import base64
 import json
@@ -120,7 +120,7 @@ def test_residuals_are_over_what_they_may_depend_on():
 
 
 def test_the_worst_joints_are_named_and_shown():
-    """One of nine joints errs most, and two that hardly move have no error over std."""
+    """One of nine joints errs most; two hardly move, so that their error has no scale."""
     joints = joint_names(9)
     table = ErrorTable(
         tuple(

@@ -43,7 +43,7 @@ def context(model):
 
 
 def flattened(phi, body):
-    """Bodies of which one is next to flat."""
+    """Return bodies of which one is nearly flat."""
     values, axes = np.linalg.eigh(pseudo_inertia(phi[body]))
     values[0] *= 1e-9
     flat = phi.copy()

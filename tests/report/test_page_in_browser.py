@@ -1,4 +1,4 @@
-"""The page of a report in a real browser: plots, tables, widths, schemes, paper, no scripts."""
+"""The page of a report in a browser: plots, tables, widths, colour schemes, and no scripts."""
 
 import re
 
@@ -10,7 +10,7 @@ JOINTS = joint_names(10)
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
-    """The report of an explanation with three effects at ten joints."""
+    """Return the path of a report on three effects at ten joints."""
     folder = tmp_path_factory.mktemp("pages")
     first = comparison(JOINTS, 0.5).series
     steps = (
@@ -25,7 +25,7 @@ def file(tmp_path_factory):
 
 @pytest.fixture
 def opened(browser, file):
-    """Opens the page; what it says on its console and asks of the network must be nothing."""
+    """Return a function that opens a page, which may write to no console and load nothing."""
     contexts, said = [], []
 
     def open_page(path=file, **context):
@@ -46,14 +46,14 @@ def opened(browser, file):
 
 
 def drawn(page):
-    """The first joint's plots, once they are drawn."""
+    """Return the first joint's plots once they are drawn."""
     page.locator(".panel .place").first.scroll_into_view_if_needed()
     page.wait_for_selector(".panel .uplot")
     return page.locator(".panel").first
 
 
 def ends(page):
-    """First and last instant that the plots show."""
+    """Return the first and last instant of the plots."""
     return [float(end) for end in page.locator("#chart-efforts").get_attribute("data-view").split()]
 
 

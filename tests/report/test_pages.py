@@ -1,4 +1,4 @@
-"""Pages: complete, self-contained, and safe whatever joints are called."""
+"""Pages are complete, self-contained, and safe for any names of joints."""
 
 import dataclasses
 import math
@@ -34,7 +34,7 @@ EVIL = "<script>alert('$x_{1')</script>&\"$"
 
 
 class Reader(HTMLParser):
-    """Collects text, tags and what is loaded; checks that tags close in order."""
+    """A parser that collects text, tags and sources, and checks that tags close in order."""
 
     EMPTY = ("meta", "img", "link", "wbr")
 
@@ -283,7 +283,7 @@ def test_an_added_effect_that_makes_things_worse_is_said_to():
 
 
 def test_the_worst_joint_is_named_where_it_errs_throughout():
-    """Of the five joints, the first fails under a circumstance and the last errs most."""
+    """The first of five joints fails at some speeds, and the last errs most."""
     one = comparison(joint_names(5), 1.0)
     even = dataclasses.replace(one, errors=errors(joint_names(5)[::-1], 1.0))
     first, second = failing_list(even)

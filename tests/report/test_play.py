@@ -1,4 +1,4 @@
-"""Logs played over a robot: postures, colours, marks and moments, in a page that works."""
+"""Logs played over a robot: postures, colours, marks and moments."""
 
 import json
 import re
@@ -26,7 +26,7 @@ from geodrake.report.robot_scene import COLORS, FRAMES, UNKNOWN, levels
 
 
 def page_of(playback, *names):
-    """The page of a playback of logs of some names."""
+    """Return the page of a playback of logs of some names."""
     title, *logs = names or ("demo: <play>", "demo.csv")
     return play_page(playback, title=title, log_names=logs)
 

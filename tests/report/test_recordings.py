@@ -1,4 +1,4 @@
-"""Robots in pictures, videos and recordings of other viewers, read back by their libraries."""
+"""Pictures, videos and recordings of robots, read back by other libraries."""
 
 import json
 import re
@@ -27,7 +27,7 @@ def recorded(short, to):
 
 
 def flange_places(short):
-    """(F, 3) where the flange is, by the plant."""
+    """Return positions (F, 3) of the flange by the plant."""
     model = short.models[0].model
     plant, context = model.plant, model.plant.CreateDefaultContext()
     body, places = plant.GetBodyByName("flange"), []
@@ -38,7 +38,7 @@ def flange_places(short):
 
 
 class TestSticks:
-    """Links without shapes are sticks from joint to joint, and joints are marked."""
+    """Test links without shapes, which are sticks from joint to joint."""
 
     @pytest.fixture
     def model(self, tmp_path):

@@ -1,4 +1,4 @@
-"""Results outside of pages: in a notebook, as files of samples, and as JSON with its schema."""
+"""Results in a notebook, as files of samples, and as JSON with its schema."""
 
 import csv
 import inspect
@@ -44,7 +44,7 @@ PACKAGES = (
 
 @cache
 def recorded():
-    """A log with friction that the model lacks."""
+    """Return a log with friction that the model lacks."""
     return pendulum_log(1, friction((0.3, 0.2), (0.2, 0.1)), seconds=16.0, rate=100.0)
 
 
@@ -58,7 +58,7 @@ def designed():
 
 
 def soft():
-    """A fit of a soft elbow that was not taken."""
+    """Return a fit of an elastic elbow that was not adopted."""
     model = load_model(MODEL)
     spring = FittedEffect(JointElasticity("elbow"), np.array([1e-3]))
     model = replace(model, effects=(*model.effects, spring))
@@ -103,7 +103,7 @@ def file(tmp_path_factory):
 
 
 def parts(value, seen):
-    """A value and all that it holds."""
+    """Yield a value and all values in it."""
     if id(value) in seen:
         return
     seen[id(value)] = value
@@ -239,7 +239,7 @@ def test_the_tables_are_read_alike_without_libyaml():
 
 
 def test_an_object_has_the_keys_of_its_kind():
-    """From what is given and from attributes; objects in it are made likewise."""
+    """They come from arguments and attributes, also in nested objects."""
     rest = SCHEMA["Closed"]()
     known = {"time": 1.0, "seconds": 2.0}
     assert record("Gap", rest, **known) == known
