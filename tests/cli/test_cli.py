@@ -82,7 +82,7 @@ def test_module_runs_piped_in_ascii_with_no_more_than_a_word_now_and_then(log):
     imported, said = [], []
     for line in err.splitlines():
         (imported if line.startswith("import time:") else said).append(line)
-    for line in said:  # which a busy machine needs, and an idle one does not
+    for line in said:  # progress, which only a busy machine reports
         assert re.fullmatch(r"[ -~]+ \([^()]+ s(?: left)?\)", line), err
     assert "shoulder" in out
     modules = {line.split("|")[-1].strip() for line in imported}

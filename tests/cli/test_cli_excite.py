@@ -128,7 +128,7 @@ class TestTellApart:
         output = excite(PENDULUM, *FAST, *limits, "--tell-apart", f"{self.PAIR}@elbow", *files)
         assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names.values())
         assert "The hardest to distinguish are" in output
-        assert "best imitation" not in output  # that is the page's
+        assert "best imitation" not in output  # only on the page
         numbers = json.loads((tmp_path / "n.json").read_text())
         assert numbers["criterion"] == "separation"
         assert numbers["motion"]["frequency"] == pytest.approx(2 * np.pi * 3 / 4.0)

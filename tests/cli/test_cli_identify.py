@@ -76,7 +76,7 @@ def test_everything_is_written(log, tmp_path):
         "--meshcat": "e.html",
     }
     files = [word for option, name in names.items() for word in (option, tmp_path / name)]
-    band = ("--bandwidth", "5")  # else it is chosen for the model, and that is another one after
+    band = ("--bandwidth", "5")  # otherwise it is chosen anew for the fitted model
     output = told("identify", MODEL, log, "--effects", FRICTIONS, *band, *files)
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names.values())
     assert not re.search("[─━│\x1b]", output)

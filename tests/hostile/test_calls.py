@@ -4,7 +4,7 @@ import pytest
 from calls import HELD, TABLES, UNCALLED, ended, exports, good_calls, outcomes
 
 ALLOWED = {f"{which} = {words})" for words, all_ in TABLES["allowed"].items() for which in all_}
-PARTS = 5  # among which calls are dealt out, quick ones and slow ones
+PARTS = 5  # of the calls
 
 
 def held(call):

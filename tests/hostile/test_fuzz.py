@@ -33,7 +33,7 @@ ENTRIES = (np.nan, np.inf, -1e308, 1e30, 4294967295.0, 0.0, 1e6)
 TYPES = ("complex128", "float16", "int32", "bool", "U8", "S3", "M8[s]", ">f8", "uint64")
 COMMANDS = (*("compare",) * 5, *("add coulomb_friction",) * 2, "diagnose", "identify", "rollout")
 COMMANDS += ("identifiable --threshold 1", "explain")
-UNSAVED = ("rollout", "identifiable")  # which have no --save
+UNSAVED = ("rollout", "identifiable")  # commands without --save
 TOKEN = re.compile(r"[-+]?\d[\d.eE+-]*|[A-Za-z_][\w:]*")
 
 

@@ -108,7 +108,7 @@ USES = {
     "identify robot.urdf log.csv --gamma 100 --export new.urdf": check_export,
     f"{EXCITE} --seeds 1 --iterations 2 --duration 4 --samples 30 --save new.yaml": check_motion,
 }
-"""What uses the names of joints and links -> what must become of them."""
+"""Commands that use the names of joints and links -> a check of the names in their results."""
 
 
 @pytest.mark.sampled(14)
@@ -144,7 +144,7 @@ COMMANDS = {
     "fleet": "fleet fleet.yaml --workers 0",
     "excite": f"{SHORTLY} --samples 30 --duration 4",
 }
-"""Command -> how it is given in order; `demo` has no option of its own."""
+"""Name of a command -> a good call; `demo` has no option of its own."""
 HUGE = "1" * 30
 
 
@@ -158,7 +158,7 @@ PATHS = {
     **{"folder": Path.mkdir, "device": link("/dev/zero"), "link": link("no/x")},
     "input": link("log.csv"),
 }
-"""Paths that are no files, or none to be written."""
+"""Paths that are no regular files, or must not be written."""
 WRONG = {
     "float": ("nan", "wide", "''", "0x10", "inf", "-1", "0", "1e-300", "1e300"),
     "int": ("nan", "many", "1.5", "''", "-1", "0", HUGE),
@@ -185,18 +185,18 @@ MORE = {
     "--samples": ("10001",),
     "--units": ("position=furlong",),
 }
-"""Option -> what it cannot be or hardly, of its own kind."""
+"""Option -> further bad values of its kind."""
 REFUSED = ("nan", "wide", "many", "1.5", "'a\0b'", "pipe", "socket", "device")
-"""Values of numbers and paths that no option takes."""
+"""Values that no option for numbers or paths takes."""
 ENDS = {"--save": ".yaml", "--json": ".json", "--report": ".html", "--out": ".html"}
 ENDS |= {"--meshcat": ".html", "--draft-effect": ".py", "--export": ".urdf", "--ellipsoids": ".png"}
 ENDS |= {"--video": ".gif", ("play", "--to"): ".mcap"}
-"""Options of files that are written -> how their names end; none of the paths above is one."""
+"""Options of files that are written -> the suffix of their names."""
 BEFORE = {("play", "--to"): "mcap "}
-"""Options of two values, and the first of these."""
+"""Options with two values -> the first one."""
 OF_LOGS = {"bandwidth", *(field.name for field in fields(ReadingOptions))}
 FILES = {"model": "robot.urdf", "logs": "log.csv", "fleet": "fleet.yaml"}
-"""Arguments that are files, and what they are in the commands above."""
+"""Arguments that are files -> their names in the commands above."""
 
 
 def parameters():
@@ -206,9 +206,9 @@ def parameters():
         for each in made.params if command in COMMANDS else ():
             is_file = FILES.get(each.name, "none") in COMMANDS[command]
             if command == "digest" and each.name in OF_LOGS:
-                continue  # which it says of each log, and goes on
+                continue  # digest reports it for each log, and continues
             if each.param_type_name == "argument" and is_file and command != "digest":
-                found.setdefault((each.name, "Path"), command)  # digest goes on with other logs
+                found.setdefault((each.name, "Path"), command)  # digest continues with other logs
             elif each.param_type_name == "option" and not each.is_flag and each.name != "live":
                 kind = "Path" if "Path" in each.bare_type() else each.bare_type()
                 found.setdefault((each.opts[0], kind), command)

@@ -47,7 +47,7 @@ SETTINGS = {
         {"home": "not a folder", **dict.fromkeys(("matplotlibrc", "rc"), BAD)},
     ),
 }
-"""What surroundings may lack or have wrong, a few at a time: each row starts Python and Drake."""
+"""Wrong settings, several in a row, as each row starts Python and Drake."""
 
 
 @pytest.mark.sampled(3)

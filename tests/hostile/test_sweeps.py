@@ -145,8 +145,8 @@ FILES = {
 }
 
 
-PARTS = 6  # among which the kinds of changes are dealt out
-MANY = 20  # places of a file in which one change is tried; of more, others by each change
+PARTS = 6  # of the kinds of changes
+MANY = 20  # places at most in which one change is tried, which differ between changes
 
 
 @cache

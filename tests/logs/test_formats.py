@@ -208,7 +208,7 @@ def test_messages_of_some_joints_each_are_put_together(tmp_path, log):
     apart = bag_of_parts(tmp_path / "later", log, [one_joint(log, "shoulder"), later])
     read = read_log(apart, joints=JOINTS)
     exact = np.cos(3.1 * (read.time - 0.004)) + 0.3 * np.sin(0.7 * (read.time - 0.004))
-    assert np.abs(read.position[:, 1] - exact)[1:].max() < 2e-4  # at first, nothing of it is known
+    assert np.abs(read.position[:, 1] - exact)[1:].max() < 2e-4  # the first one is unknown
     assert np.isfinite(read.effort)[1:].all()
     assert "joined by time at 100 Hz, the rate of shoulder" in " ".join(read.notes)
 
@@ -362,7 +362,7 @@ def test_commands_of_a_controller_without_names_or_stamps(tmp_path, sent):
         tmp_path, joint_states=states(empty, efforts=True), position_controller__commands=told
     )
     read = read_log(path, joints=JOINTS)
-    assert np.isnan(read.command[0]).all()  # as no command was there yet
+    assert np.isnan(read.command[0]).all()  # before the first command
     assert np.abs(read.command - motion(read.time - 0.001))[1:].max() < 1e-4
     assert np.array_equal(read.position, sent.position[: len(read)])
     assert np.isnan(read.effort).all()

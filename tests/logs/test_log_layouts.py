@@ -573,7 +573,7 @@ CLOCKS = {
         range(ROWS)], "ms": 10 * (np.arange(ROWS) % 100)}, 1e-9, ""),
     "ns since a start": ({"timestamp": 3.2e12 + 1e9 * CLOCK}, 1e-3, "time is in ns, judging by"),
     **{f"{clock} beside {other}": ({clock: start + CLOCK / unit, other: rest + np.arange(ROWS) % 7},
-        1e-6, "")  # which may be no part of it
+        1e-6, "")  # which is not a part of it
        for clock, other, unit, start, rest in (
            ("timestamp", "us", 1e-3, 1.7e12, 300.0), ("t", "us", 1e-3, 0.0, 300.0),
            ("timestamp", "nanoseconds", 1e-3, 1.7e12, 1.7e18), ("stamp", "ns", 1e-6, 1.7e15, 900.0),

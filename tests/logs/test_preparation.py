@@ -466,7 +466,7 @@ def test_memory_grows_with_the_log_alone(monkeypatch, tmp_path):
         path = tmp_path / f"{samples}.npz"
         write_log(long_log(samples), path)
         if not peaks:
-            compare(model, [path], bandwidth=8.0)  # what is compiled and factored once
+            compare(model, [path], bandwidth=8.0)  # compile and factor what is used again
         tracemalloc.start()
         try:
             compare(model, [path], bandwidth=8.0)
@@ -474,7 +474,7 @@ def test_memory_grows_with_the_log_alone(monkeypatch, tmp_path):
         finally:
             tracemalloc.stop()
     grown = (peaks[1] - peaks[0]) / (lengths[1] - lengths[0])
-    assert 40 < grown < 110  # and rows, steps and gaps for a moment
+    assert 40 < grown < 110  # with temporary arrays
 
 
 def test_csv_is_read_in_stretches(monkeypatch, tmp_path):

@@ -287,7 +287,7 @@ def test_commands_that_say_nothing():
     with pytest.raises(LogError, match=r"elbow .* always equals.* steps or oscillations"):
         check_commands(log(copy))
     with pytest.raises(LogError, match=r"shoulder .* always equals"):
-        check_commands(log(np.roll(Q, -2, axis=0)))  # what was told is there two rows later
+        check_commands(log(np.roll(Q, -2, axis=0)))  # positions lag two rows
     check_commands(JointLog("x", JOINTS, TIME, Q, S, command=Q))  # efforts are measured
     for other in (np.diff(C, axis=0, prepend=C[:1]), 20.0 * C):
         with pytest.raises(LogError, match=r"No joint follows its commands .* increments"):
@@ -367,7 +367,7 @@ def test_efforts_that_are_saturated():
         check_saturation(log(np.clip(S, -0.5, 0.5), effort_kinds=kinds))
     with pytest.raises(LogError, match="saturated"):
         check_saturation(log(np.sign(S + 0.01)))
-    check_saturation(log(np.clip(np.round(S), -1.0, 1.0)))  # rounded, as far as anyone knows
+    check_saturation(log(np.clip(np.round(S), -1.0, 1.0)))  # may be rounded
     check_saturation(log(np.round(0.24 * np.tanh(20.0 * S), 2)))  # dry friction, rounded
     check_saturation(log(np.ones_like(S)))
     check_saturation(log(np.full_like(S, np.nan)))

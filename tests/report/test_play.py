@@ -68,7 +68,7 @@ def test_ghosts_go_where_rollouts_do_if_asked_for(after, cut, page):
     assert there.mean() > 0.7 and np.isnan(played.simulated[~there]).all()
     apart = np.abs(played.simulated - playback.q)[there]
     assert apart.max() > 0.05 and np.median(apart) < 0.05
-    assert apart.max() < 1.5  # a radian, and what is between two frames
+    assert apart.max() < 1.5  # one radian, and the motion between two frames
     (excerpt,) = playback.excerpts
     rolled = roll_out(after, [cut], horizon=0.2, most=1000).windows
     window = next(w for w in rolled if w.time[0] > excerpt.time[0])
