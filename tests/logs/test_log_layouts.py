@@ -204,35 +204,26 @@ def test_mapped_signals(tmp_path, read_table):
         read_table(columns, mapping=mapping, kinds={"one": "voltage"})
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (
-            ("column: i_e, gain: -2.0}}", "column: i_e}, current: i_f}"),
-            "effort and current of 'elb",
-        ),
-        (("effort: {column: 4", "pwm: x, voltage: {column: 4"), "voltage and pwm of 'shoulder'"),
-        (
-            ("effort: {column: 4", "voltage: {unit: mA, column: 4"),
-            "'mA' is not a known unit of volt",
-        ),
-        (("gain: 3.0", "gain: 3 ± x"), "which is not a number"),
-        (("gain: 3.0", "gain: 3 ± 4"), "less than the gain"),
-        (
-            ("effort: {column: 4, gain: 3.0", "pwm: {column: 4, gain: 3 ± 1"),
-            "only gains of efforts",
-        ),
-        (("column: i_e", "column: phi_e"), "uses column 'phi_e' twice"),
-        (("unit: ms", "unit: fortnight"), "'fortnight' is not a known unit of time"),
-        (("gain: 3.0", "gain: 0"), "nonzero number"),
-        (("time:", "zeit:"), "unknown field 'zeit'"),
-        (("time: {column: ticks, unit: ms}", ""), "neither `time` nor `rate`"),
-        (("column: 4", "column: [4]"), "expected"),
-        (("joints:", "joints: none #"), "is not valid YAML"),
-    ],
-)
-def test_mappings_that_cannot_be(tmp_path, change, words):
-    (tmp_path / "m.yaml").write_text(MAPPING.replace(*change))
+BAD_MAPPINGS = {
+    "effort and current of 'elb": ("column: i_e, gain: -2.0}}", "column: i_e}, current: i_f}"),
+    "voltage and pwm of 'shoulder'": ("effort: {column: 4", "pwm: x, voltage: {column: 4"),
+    "'mA' is not a known unit of volt": ("effort: {column: 4", "voltage: {unit: mA, column: 4"),
+    "which is not a number": ("gain: 3.0", "gain: 3 ± x"),
+    "less than the gain": ("gain: 3.0", "gain: 3 ± 4"),
+    "only gains of efforts": ("effort: {column: 4, gain: 3.0", "pwm: {column: 4, gain: 3 ± 1"),
+    "uses column 'phi_e' twice": ("column: i_e", "column: phi_e"),
+    "'fortnight' is not a known unit of time": ("unit: ms", "unit: fortnight"),
+    "nonzero number": ("gain: 3.0", "gain: 0"),
+    "unknown field 'zeit'": ("time:", "zeit:"),
+    "neither `time` nor `rate`": ("time: {column: ticks, unit: ms}", ""),
+    "expected": ("column: 4", "column: [4]"),
+    "is not valid YAML": ("joints:", "joints: none #"),
+}
+
+
+@pytest.mark.parametrize("words", BAD_MAPPINGS)
+def test_mappings_that_cannot_be(tmp_path, words):
+    (tmp_path / "m.yaml").write_text(MAPPING.replace(*BAD_MAPPINGS[words]))
     with pytest.raises(LogError, match=words):
         read_mapping(tmp_path / "m.yaml")
 

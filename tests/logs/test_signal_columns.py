@@ -214,42 +214,31 @@ def test_what_efforts_are_said_to_be(kinds):
     assert np.allclose(log_of_frame(own(position=Q, effort=S), reading=units).effort, 1e-3 * S)
 
 
-@pytest.mark.parametrize(
-    ("columns", "reading", "words"),
-    [
-        (
-            own(position=Q, velocity=S),
-            Reading(),
-            r"no joint with both.*\.command may replace effort",
-        ),
-        (
-            {**own(position=Q), "shoulder.current": S[:, 0]},
-            Reading(),
-            r"no efforts of elbow.*\.command may replace effort",
-        ),
-        (
-            frame(**{"q_J": Q, "voltage_J [mA]": S}),
-            Reading(),
-            r"used as voltage .* in mA, a unit of current",
-        ),
-        (
-            frame(q_J=Q, voltage_J=S),
-            Reading(kinds={"shoulder": "current"}),
-            "is voltage by its name, but current by --kind",
-        ),
-        (frame(q_J=Q, tau_J=S), Reading(kinds={"wrist": "current"}), "--kind names 'wrist'"),
-        (frame(q_J=Q, tau_J=S), Reading(kinds={"shoulder": "command"}), "with kind 'command'"),
-        (
-            frame(q_J=Q, cmd_J=C),
-            Reading(gains={"shoulder": 2.0}),
-            "no column of 'shoulder' with efforts or signals, which --gain",
-        ),
-    ],
-)
-def test_what_contradicts_itself(columns, reading, words):
+HALF = {**own(position=Q), "shoulder.current": S[:, 0]}
+PLAIN = frame(q_J=Q, tau_J=S)
+CONTRADICTIONS = {
+    r"no joint with both.*\.command may replace effort": (own(position=Q, velocity=S), {}),
+    r"no efforts of elbow.*\.command may replace effort": (HALF, {}),
+    "used as voltage .* in mA, a unit of current": (frame(**{"q_J": Q, "voltage_J [mA]": S}), {}),
+    "is voltage by its name, but current by --kind": (
+        frame(q_J=Q, voltage_J=S),
+        {"kinds": {"shoulder": "current"}},
+    ),
+    "--kind names 'wrist'": (PLAIN, {"kinds": {"wrist": "current"}}),
+    "with kind 'command'": (PLAIN, {"kinds": {"shoulder": "command"}}),
+    "no column of 'shoulder' with efforts or signals, which --gain": (
+        frame(q_J=Q, cmd_J=C),
+        {"gains": {"shoulder": 2.0}},
+    ),
+}
+
+
+@pytest.mark.parametrize("words", CONTRADICTIONS)
+def test_what_contradicts_itself(words):
+    columns, reading = CONTRADICTIONS[words]
     joints = None if any("." in name for name in columns) else JOINTS
     with pytest.raises(LogError, match=words) as caught:
-        log_of_frame(columns, joints=joints, reading=reading)
+        log_of_frame(columns, joints=joints, reading=Reading(**reading))
     assert "\n" not in str(caught.value)
 
 
