@@ -6,9 +6,9 @@ long logs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple, TypeVar
 
@@ -47,6 +47,7 @@ LONGEST_DELAY = 0.06
 _WINDOWS = 8  # of all logs, at least two of a stretch; every other one is held out
 _SOUGHT, _PIECE = 40.0, 10.0  # total time that searches use, and length of its pieces, s
 _NOTHING = float(np.finfo(float).tiny)  # rad² or m²
+_RESIDUALS_KEPT = 8
 _LINEAR_DELAYS = tuple(np.linspace(0.0, LONGEST_DELAY, 7).tolist())  # candidates, s
 
 
@@ -81,11 +82,18 @@ class JointMotions:
         return x
 
     def with_slopes(self, servo: Array, free: Mask) -> tuple[Array, Array]:
-        """Return the residual (N,) and its slopes (N, f) with respect to the free parameters."""
-        count = len(free) if free[INTEGRAL:].any() else INTEGRAL
-        x, J = np.empty(len(self.measured)), np.zeros((len(self.measured), count))
-        calc_servo_motions(*self._whole, servo, (x, J))
-        return x - self.measured, J[:, free[:count]]
+        """Return the residual (N,) and its slopes (N, f) with respect to the free parameters.
+
+        The latest slopes are cached.
+        """
+        key = servo.tobytes(), free.tobytes()
+        if key not in self._slopes:
+            count = len(free) if free[INTEGRAL:].any() else INTEGRAL
+            x, J = np.empty(len(self.measured)), np.zeros((len(self.measured), count))
+            calc_servo_motions(*self._whole, servo, (x, J))
+            self._slopes.clear()
+            self._slopes[key] = self._keep(key[0], x - self.measured), J[:, free[:count]]
+        return self._slopes[key]
 
     def with_integral(self, servo: Array, integral: float) -> Array:
         """Return a servo with an integral whose initial effort matches the bodies on average."""
@@ -133,18 +141,27 @@ class JointMotions:
         return replace(signal, gain=best.gain, delay=best.delay, integral=best.integral)
 
     def residual(self, servo: Array) -> Array:
-        """Return simulated − measured positions (N,) of all stretches."""
-        return self._residual(servo.tobytes())
+        """Return simulated − measured positions (N,) of all stretches; the latest are cached."""
+        key = servo.tobytes()
+        known = self._residuals.pop(key, None)
+        return self._keep(key, self.simulated(servo) - self.measured if known is None else known)
+
+    def _keep(self, servo: bytes, residual: Array) -> Array:
+        """Cache a residual (N,) instead of the least recently used one, and return it."""
+        self._residuals[servo] = residual
+        if len(self._residuals) > _RESIDUALS_KEPT:
+            del self._residuals[next(iter(self._residuals))]
+        return residual
 
     @cached_property
-    def _residual(self) -> Callable[[bytes], Array]:
-        """Residual (N,) as a function of the bytes of the parameters; the last four are cached."""
+    def _residuals(self) -> dict[bytes, Array]:
+        """Residuals (N,) by the bytes of the servo's parameters."""
+        return {}
 
-        @lru_cache(maxsize=4)
-        def residual(servo: bytes) -> Array:
-            return self.simulated(np.frombuffer(servo).copy()) - self.measured
-
-        return residual
+    @cached_property
+    def _slopes(self) -> dict[tuple[bytes, bytes], tuple[Array, Array]]:
+        """Residual (N,) and slopes (N, f) by the bytes of parameters and of those that are free."""
+        return {}
 
     def rms(self, servo: Array, rows: Mask | None = None) -> float:
         """Return the RMS of the residual at the marked rows (N,), or at all."""

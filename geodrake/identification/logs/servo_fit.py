@@ -348,7 +348,7 @@ class _Search:
         usual, spread = np.transpose([expected[at] for at in places])
         weights, delay_weight = 0.0 * spread, 0.0
         if not seen:  # on the scale of the residual
-            residuals = motions.residual(starts[0].numbers)
+            residuals, _ = motions.with_slopes(starts[0].numbers, starts[0].free)
             noise = np.sqrt(residuals @ residuals / WORTH)
             weights, delay_weight = noise / spread, noise / USUAL_DELAY * np.sqrt(2.0 / np.pi)
         upper, lower = np.full((2, size), np.inf)
@@ -367,7 +367,7 @@ class _Search:
                 return found
 
             def residual(x: Array) -> Array:
-                return with_priors(numbers(x), motions.simulated(numbers(x)) - motions.measured)
+                return with_priors(numbers(x), motions.residual(numbers(x)))
 
             def with_priors(at: Array, residuals: Array) -> Array:
                 log_ratios = weights * np.log(at[places] / usual)
