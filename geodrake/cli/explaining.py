@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 
 _DEMO_TIME = "This takes about 15 seconds; a minute the first time, as code is compiled."
+_DEMO_NEXT = "Next: geodrake explain robot.urdf log.csv --save robot.yaml --report robot.html"
 
 
 def run_compare(options: Options) -> None:
@@ -70,7 +71,7 @@ def run_add(options: AddOptions) -> None:
     run(command, options)
 
 
-def run_explain(options: ExplainOptions | Options, promise: str = "") -> None:
+def run_explain(options: ExplainOptions | Options, promise: str = "", last: str = "") -> None:
     """Run `geodrake explain`: explain logs, with formulas for the remaining error if requested."""
     drafts = getattr(options, "draft_effect", None) is not None
     every_step = any((options.details, options.report, options.json))  # these show every step
@@ -86,6 +87,7 @@ def run_explain(options: ExplainOptions | Options, promise: str = "") -> None:
             )
         },
         promise=promise,
+        last=last,
     )
     run(command, options)
 
@@ -94,7 +96,7 @@ def run_demo(options: DemoOptions) -> None:
     """Run `geodrake demo`: explain the log that comes with the package."""
     folder = files("geodrake") / "demo"
     with as_file(folder / "demo.urdf") as model, as_file(folder / "demo.csv") as data:
-        run_explain(Options(model=model, logs=[data], **vars(options)), _DEMO_TIME)
+        run_explain(Options(model=model, logs=[data], **vars(options)), _DEMO_TIME, _DEMO_NEXT)
 
 
 def _drafted(given: Input) -> Explained:

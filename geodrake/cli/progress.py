@@ -151,7 +151,7 @@ def progress(words: str, *, quiet: bool = False) -> Iterator[Activity]:
 
 
 def step_teller(activity: Activity) -> Callable[[FoundStep], None]:
-    """Return a callback that prints each step of a search on a line of its own."""
+    """Return a callback that prints each step of a search that changes the printed error."""
     count = 0
 
     def tell(step: FoundStep) -> None:
@@ -159,10 +159,12 @@ def step_teller(activity: Activity) -> Callable[[FoundStep], None]:
         if step.is_last:
             activity.history(STOPPING)
             return
-        from geodrake.report.words import found_words  # slow to import
+        from geodrake.report.numbers import number  # slow to import
+        from geodrake.report.words import found_words
 
-        count += 1
-        activity.history(f"{count}  {found_words(step)}")
+        if number(step.after) != number(step.before):
+            count += 1
+            activity.history(f"{count}  {found_words(step)}")
         error = f", error {step.after / step.floor:.3g} times the noise" if step.floor > 0.0 else ""
         activity(f"Searching{error}")
 

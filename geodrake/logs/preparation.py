@@ -183,7 +183,8 @@ def _left_out(
         named = ", ".join(joint or "''" for joint in joints)
         lines.append(f"not used, as the model has no such joint: {named}")
     ends = parts[_ENDS]  # every log loses some there
-    is_much = total - used - ends > _MUCH * total or ends > _MANY_ENDS * total or bool(joints)
+    lost = total - used - ends - sum(standstill)  # a standstill has no information to lose
+    is_much = lost > _MUCH * total or ends > _MANY_ENDS * total or bool(joints)
     return is_much, "; ".join(lines)
 
 

@@ -56,10 +56,13 @@ def excitation_page(result: ExcitationResult, about: About) -> Page:
         )
         for start in result.outcomes
     ]
+    first, *more = excitation_sentences(result)
+    facts = dict(zip(("Hardest", "Warning"), more, strict=False))
+    if more and not is_separation:
+        (first,), facts = more, {"Criterion": first}
     return Page(
         about,
-        "designed",
-        excitation_verdict(result),
+        first,
         (
             _pairs_section(result, units) if is_separation else _directions_section(result),
             Section(
@@ -81,7 +84,8 @@ def excitation_page(result: ExcitationResult, about: About) -> Page:
             Section("Notes", items=result.notes),
         ),
         of=f"{about.model}: {_motion_words(result)}",
-        lead=_lead(result, units),
+        verdict="designed",
+        facts={**facts, **_motion_facts(result, units)},
         tiles=_tiles(result),
         footer="Made by geodrake. Limits also hold between samples; the information is that of "
         "the samples with the requested noise.",
@@ -105,64 +109,65 @@ def _motion_words(result: ExcitationResult) -> str:
     return f"{family.count // 3} free samples"
 
 
-def excitation_verdict(result: ExcitationResult) -> str:
-    """Return the verdict on a designed motion, in a few sentences."""
+def excitation_sentences(result: ExcitationResult) -> list[str]:
+    """Return the value of a designed motion in sentences."""
     gained = improvement(result)
     if pairs := distinguished_pairs(result):
         hardest, units = pairs[0], Units.of(result.objective.target.model)
-        words = (
+        sentences = [
             f"Every pair differs by at least {number(hardest.deviations)} standard deviations of "
             f"the noise in {result.samples} samples, {_times(gained**0.5)} as much as on the best "
-            f"random motion. The hardest to distinguish are {hardest.pair.truth} of "
+            "random motion.",
+            f"The hardest to distinguish are {hardest.pair.truth} of "
             f"{places_label(hardest.pair.where, units.driven)} and {hardest.pair.rival}, with an "
-            f"unexplained effort of {number(hardest.effort)} {units.effort()} RMS."
-        )
-        warning = " Such a log will hardly distinguish them." * (hardest.deviations < CLEAR)
-        return words + warning
+            f"unexplained effort of {number(hardest.effort)} {units.effort()} RMS.",
+        ]
+        is_hard = hardest.deviations < CLEAR
+        return [*sentences, *["Such a log will hardly distinguish them."] * is_hard]
     criterion, normalization = result.objective.criterion.name, result.objective.normalization
     words = f"{criterion.replace('_', ' ')} {number(result.value)}"
     if criterion == "e_optimality" and normalization == "geometric":
         words += f": the worst direction has a relative deviation of {relative(result.value**0.5)}"
-    words += f"; {_times(gained)} better than the best random motion."
+    sentences = [capitalized(f"{words}; {_times(gained)} better than the best random motion.")]
     if normalization == "geometric":
-        words += (
-            f" Its {result.samples} samples identify {identifiable_directions(result)} of "
+        sentences.append(
+            f"Its {result.samples} samples identify {identifiable_directions(result)} of "
             f"{len(result.eigenvalues)} directions to within {percent(THRESHOLD**0.5)}."
         )
-    return capitalized(words)
+    return sentences
 
 
 def _times(factor: float) -> str:
     return f"{number(factor)} times" if np.isfinite(factor) else "infinitely"
 
 
-def _lead(result: ExcitationResult, units: Units) -> tuple[str, ...]:
-    """Return the distances, balance, duration and start of a motion, where they apply."""
+def _motion_facts(result: ExcitationResult, units: Units) -> dict[str, str]:
+    """Return the distances, balance, start and duration of a motion, where they apply."""
     use, trajectory, stance = result.use, result.trajectory, result.trajectory.stance
-    lead = []
+    facts = {}
     if use.clearances:
         parts = [
             f"{names} {1e3 * least:.0f} mm apart"
             for least, names in sorted(use.clearances.values(), key=lambda each: each[0])
         ]
-        clearance = f"the clearance is {1e3 * use.clearance:.0f} mm."
-        lead.append(f"Smallest distance: {'; '.join(parts)}; {clearance}")
+        clearance = f"the clearance is {1e3 * use.clearance:.0f} mm"
+        facts["Smallest distance"] = f"{'; '.join(parts)}; {clearance}"
     if stance is not None:
-        lead.append(
-            f"On {listed([foot.frame for foot in stance.feet])}, the zero-moment point goes up to "
+        facts["Balance"] = (
+            f"on {listed([foot.frame for foot in stance.feet])}, the zero-moment point goes up to "
             f"{percent(use.polygon)} of the way from the centre of the feet to their edge "
             f"({percent(use.margin)} is allowed), and uses {percent(use.friction)} of the friction "
-            f"coefficient {stance.friction:g}."
+            f"coefficient {stance.friction:g}"
         )
     if trajectory.length:
         pairs = zip(result.limits.joints, trajectory.states([0.0])[0, 0].tolist(), strict=True)
         start = ", ".join(f"{joint} {number(q)} {units.at(joint, 'rad')}" for joint, q in pairs)
-        advice = "move the robot there first, or give its rest position with --stand."
+        advice = "move the robot there first, or give its rest position with --stand"
         if result.ramps is not None:
             length = f"{result.executed.length:.1f} s"
-            advice = f"{length} with the ramps from and to the rest position."
-        lead.append(f"{trajectory.length:g} s from rest to rest, starting at {start}; {advice}")
-    return tuple(lead)
+            advice = f"{length} with the ramps from and to the rest position"
+        facts["Starts at"] = f"{start}; {advice}"
+    return facts
 
 
 def _tiles(result: ExcitationResult) -> tuple[Tile, ...]:
@@ -327,7 +332,6 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
     """Return the page of the identifiability of logs."""
     threshold = percent(found.identifiable.threshold**0.5)
     count, total = sum(entry.is_identifiable for entry in found.effects), len(found.effects)
-    headline, *lead = identifiable_sentences(found)
     unidentifiable = found.unidentifiable
     combinations = [
         cells(each.words, each.value, each.deviation, relative(each.relative))
@@ -336,8 +340,7 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
     directions = f"{found.count} of {found.possible}"
     return Page(
         about,
-        "identifiable",
-        headline,
+        f"{directions} directions are identifiable to within {threshold}.",
         (
             Section(
                 "Bodies",
@@ -367,7 +370,8 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
             ),
             Section("Notes", items=found.notes),
         ),
-        lead=(" ".join(lead),) if lead else (),
+        verdict="identifiable",
+        facts=_identifiable_facts(found),
         tiles=(
             Tile("directions identifiable", directions, f"to within {threshold}"),
             Tile(
@@ -380,18 +384,30 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
     )
 
 
+def _identifiable_facts(found: LogIdentifiability) -> dict[str, str]:
+    """Return the bodies and effects that are identifiable, and those that are not."""
+    bodies = [body for body in found.bodies if body.possible >= _LEAST_POSSIBLE]
+    unknown = listed([entry.label for entry in found.effects if not entry.is_identifiable])
+    is_less = found.count < found.count_at_floor
+    return {
+        "All of": listed([body.name for body in bodies if body.share > _FULL]),
+        "Hardly any of": listed([body.name for body in bodies if body.share < _HARDLY]),
+        "Not identifiable": unknown,
+        "Effects": "all parameters are identifiable" if found.effects and not unknown else "",
+        "If only sensor noise remained": f"{found.count_at_floor} directions" if is_less else "",
+    }
+
+
 def identifiable_sentences(found: LogIdentifiability) -> list[str]:
     """Return sentences such as `9 of 12 directions are identifiable to within 10 %`."""
-    threshold = percent(found.identifiable.threshold**0.5)
+    threshold, facts = percent(found.identifiable.threshold**0.5), _identifiable_facts(found)
     words = f"{found.count} of {found.possible} directions are identifiable to within {threshold}"
-    bodies = [body for body in found.bodies if body.possible >= _LEAST_POSSIBLE]
-    full = [body.name for body in bodies if body.share > _FULL]
-    poor = [body.name for body in bodies if body.share < _HARDLY]
-    words += f", all of {listed(full)}" if full else ""
-    words += f", hardly any of {listed(poor)}" if poor else ""
+    for share in ("all of", "hardly any of"):
+        names = facts[capitalized(share)]
+        words += f", {share} {names}" if names else ""
     sentences = [f"{words}."]
-    if unknown := [entry.label for entry in found.effects if not entry.is_identifiable]:
-        sentences.append(f"Not identifiable: {listed(unknown)}.")
+    if facts["Not identifiable"]:
+        sentences.append(f"Not identifiable: {facts['Not identifiable']}.")
     elif found.effects:
         sentences.append("All parameters of effects are identifiable.")
     if found.count_at_floor > found.count:
@@ -487,7 +503,7 @@ def _excitation_values(result: ExcitationResult) -> dict[str, Any]:
     return {
         "criterion": "separation" if pairs else objective.criterion.name,
         "improvement_over_random": improvement(result),
-        "verdict": excitation_verdict(result),
+        "verdict": " ".join(excitation_sentences(result)),
         "directions_identifiable": identifiable,
         "directions_told": identifiable,
         "pairs": pairs,

@@ -64,25 +64,26 @@ if TYPE_CHECKING:
     from geodrake.control.rollout import Rollout
 
 REST = "What the remaining error varies with"
-_EVEN = "No joint has a much larger error under any one condition."
+_EVEN = "no joint has a much larger error under any one condition."
 _IDENTIFIED = Stage("identified", "after")
 _RESIDUAL = Stage("residual without it", "measured", look="wide")
 _FORMULA = Stage("formula on held-out data", "after")
 _SCATTER = Stage("residual over formula", "after", look="dots")
 _MOST_DOTS = 400
-_MOST_LISTED = 7  # places of an effect that are named rather than counted
+_MOST_LISTED, _MOST_TYPED = 7, 2  # places that pages and terminals name rather than count
 _MILLIMETRES = 1e3
 _FAR = 1e6  # mm; larger deviations are printed with a power of ten
 _NOTICED = (
     "A second ± is from uncertain effort gains and unexplained errors. More data do not reduce it; "
     "a log with a payload of known mass does (--known-payload)."
 )
-_PERCENT_COLUMNS = (
-    "Blocks better is the share of held-out blocks in which the error falls at the joints of the "
-    "effect.\n"
+_COLUMNS = (
+    "Each nrms is that of the model with this effect and those above it, on held-out data.\n"
     "Probability is the sum over all explanations of the logs that have the effect. The others "
     "have another effect, an unknown one or none in its place; by chance is the probability of "
-    "none."
+    "none.\n"
+    "Blocks better is the share of held-out blocks in which the error falls at the joints of the "
+    "effect."
 )
 
 
@@ -121,26 +122,33 @@ class _Errors:
     def sections(self) -> tuple[Section, Section]:
         """Return the errors of all joints, and where they are concentrated."""
         chart = effort_chart(self.models, self.units, self.between)
-        lists = {stage: words.failing_list(c) or (_EVEN,) for stage, c in self.models.items()}
+        failing = [failing_table(stage.label, c) for stage, c in self.models.items()]
         return (
             Section(
                 "Joint by joint",
-                f"RMS of measured − predicted effort in {_unit(self.last, self.units)}.",
-                "std is the standard deviation of the measured effort, nrms the RMS error divided "
-                "by it. Removable is the share of the squared error above the sensor noise, which "
-                "a better model may explain, though perhaps not by positions and velocities "
-                "alone.",
+                f"RMS of measured − predicted effort in {_unit(self.last, self.units)}; nrms is "
+                "RMS / std, the standard deviation of the measured effort.",
+                "Noise is what no model can remove. Removable is the share of the squared error "
+                "above it, which a better model may explain, though perhaps not by positions and "
+                "velocities alone.",
                 (self.bars,),
                 (errors_table(self.stages, self.units),),
                 deep=len(self.stages) > 2,
             ),
-            Section("Where it fails", lists=lists, charts=(chart,), deep=True),
+            Section(
+                "Where it fails",
+                "The condition under which the error of a joint is largest, and its RMS there.",
+                tables=tuple(failing),
+                items=tuple(f"{t.title}: {_EVEN}" for t in failing if not t.rows),
+                charts=(chart,),
+                deep=True,
+            ),
         )
 
     def page(
         self,
         about: About,
-        mark: str,
+        verdict: str,
         headline: str,
         sections: Sequence[Section],
         *,
@@ -177,7 +185,7 @@ class _Errors:
             f"Errors of refitted models are on held-out data: each of the {len(folds)} folds (long "
             "blocks with gaps between them, or whole logs) was predicted with parameters fitted to "
             "the others. The model as it stands was not refitted."
-            if mark != "compared"
+            if verdict != "compared"
             else "Nothing was refitted, so all data are held-out data, unless the model was fitted "
             "to these logs before."
         )
@@ -201,9 +209,9 @@ class _Errors:
         more.setdefault("compared", {stage.label: model for stage, model in self.models.items()})
         return Page(
             about,
-            mark,
             headline,
             (*sections, *closing),
+            verdict=verdict,
             tiles=tuple(tiles),
             footer=_footer(comparison),
             first=(first_section(comparison.first),),
@@ -224,7 +232,7 @@ def comparison_page(comparison: Comparison, about: About) -> Page:
         tiles=[_error_tile("error", errors, units)],
         notes=comparison.notes,
         removable="of the squared error",
-        lead=words.comparison_lead(comparison),
+        facts=words.comparison_facts(comparison),
     )
 
 
@@ -237,12 +245,11 @@ def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
     best = diagnosis.candidates[0].error_after if diagnosis.candidates else None
     ranking = Section(
         "Candidates",
-        "nrms (RMS error / standard deviation of the measured effort) on held-out data, before and "
-        "after adding each effect alone.",
+        f"nrms on held-out data with each effect alone; {number(diagnosis.refitted.nrms)} without. "
+        "The first is the first step of the most probable explanation.",
         "Everything is refitted with each effect. Evidence is twice the log posterior odds of the "
-        "model with the effect. The first candidate is the first step of the most probable "
-        "explanation; = marks alternatives to it. By chance is the probability that the effect is "
-        "not needed there.",
+        "model with the effect. = marks alternatives to the first candidate. By chance is the "
+        "probability that the effect is not needed there.",
         (candidate_bars(diagnosis, units.driven),) if diagnosis.candidates else (),
         (candidates_table(diagnosis, units),),
     )
@@ -255,7 +262,7 @@ def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
     effect_tiles = [] if best is None else [Tile("with the effect", number(best), "held-out nrms")]
     return shown.page(
         about,
-        diagnosis.verdict if best is None else "effect found",
+        diagnosis.verdict,
         headline,
         (ranking, settling_section(diagnosis, about), replace(joints, deep=True), failing),
         tiles=[
@@ -265,8 +272,7 @@ def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
         ],
         notes=diagnosis.notes,
         deep=True,
-        verdict=diagnosis.verdict,
-        lead=words.diagnosis_lead(diagnosis),
+        facts=words.diagnosis_facts(diagnosis),
     )
 
 
@@ -301,17 +307,20 @@ def explanation_page(found: Explanation, about: About) -> Page:
     joints, failing = shown.sections()
     return shown.page(
         about,
-        words.explanation_mark(explanation, added=explanation.added),
-        words.explanation_headline(explanation, units, added=explanation.added),
+        explanation.verdict,
+        words.explanation_headline(explanation, added=explanation.added),
         (
             Section(
                 "What is missing",
-                "nrms (RMS error / standard deviation of the measured effort) on held-out data, "
-                "before and after each step."
-                + (" A second ± is from uncertain effort gains." if has_systematic else ""),
-                _PERCENT_COLUMNS,
+                f"{words.NRMS}.",
+                _COLUMNS,
                 (step_bars(explanation, units.driven),) if steps else (),
-                (steps_table(explanation, units),),
+                (steps_table(explanation, units),) if steps else (),
+                tuple(
+                    f"{words.effect_label(step.effect)}, or {rivals}"
+                    for step in steps
+                    if (rivals := words.rivals(step))
+                ),
             ),
             settling_section(explanation, about),
             Section(
@@ -345,8 +354,12 @@ def explanation_page(found: Explanation, about: About) -> Page:
         removable="of the squared error left",
         notes=explanation.notes,
         deep=True,
-        verdict=explanation.verdict,
-        lead=words.explanation_lead(explanation, advised=not (draft or explanation.added)),
+        facts=words.explanation_facts(
+            explanation,
+            units,
+            added=explanation.added,
+            advised=not (draft or explanation.added),
+        ),
     )
 
 
@@ -361,19 +374,18 @@ def identification_page(found: ModelIdentification, about: About) -> Page:
         joint_bars(before, [("identified", after.by_joint())]),
     )
     joints, failing = shown.sections()
-    headline = f"nrms on held-out data {number(before.nrms)} → {number(after.nrms)}"
-    noise = f"; sensor noise {number(after.floor_nrms)}" if after.shows_noise else ""
     gamma = _gamma(found.gamma)
     gamma += f", chosen by held-out error from {len(found.sweep)}" if found.sweep else ""
-    lead = f"Fitted with the {found.regularizer} regularizer and gamma {gamma}."
-    boundary = (
-        f"{words.listed(found.at_boundary)} ended at the boundary of physically valid inertias: "
-        "the data alone would give invalid ones."
-    )
+    facts = {"Remaining error": words.error_size(after)}
+    facts["Regularizer"] = f"{found.regularizer}, gamma {gamma}"
+    if found.at_boundary:
+        facts["At the boundary"] = (
+            f"{words.listed(found.at_boundary)}; the data alone would give invalid inertias"
+        )
     return shown.page(
         about,
         "identified",
-        f"{headline}{noise}.",
+        f"Identified: {words.nrms_change(before.nrms, after.nrms)}.",
         (
             joints,
             Section(
@@ -394,12 +406,11 @@ def identification_page(found: ModelIdentification, about: About) -> Page:
         ],
         removable="of the squared error left",
         notes=found.notes,
-        verdict="identified",
         compared={
             BEFORE.label: replace(found.comparison, errors=before),
             _IDENTIFIED.label: found.comparison,
         },
-        lead=(lead, boundary) if found.at_boundary else (lead,),
+        facts=facts,
     )
 
 
@@ -565,15 +576,13 @@ def errors_table(stages: Mapping[str, ErrorTable], units: Units) -> Table:
         name = f"{after.joint}, {units.effort([after.joint])}" if mixed else after.joint
         rms = (errors.joints[j].rms for errors in stages.values())
         floor = after.floor if after.shows_noise else math.nan
-        rows.append(cells(name, *rms, floor, after.std, after.nrms, _share(after.removable)))
-    pooled, nrms = ([getattr(e, n) for e in stages.values()] for n in ("pooled_rms", "nrms"))
-    floors = (last.pooled_floor, last.floor_nrms) if last.shows_noise else (math.nan, math.nan)
+        rows.append(cells(name, *rms, after.std, after.nrms, floor, _share(after.removable)))
+    pooled = ["" if mixed else errors.pooled_rms for errors in stages.values()]
+    floor = last.pooled_floor if last.shows_noise else math.nan
     share = _share(words.removable_share(last))
-    totals = [cells("nrms of all joints", *nrms, floors[1], "", last.nrms, share)]
-    if not mixed:
-        totals.insert(0, cells("RMS of all joints", *pooled, floors[0], "", "", ""))
-    head = ("joint", *stages, "noise", "std", "nrms", "removable")
-    return Table(head, (*rows, *totals), total=len(totals))
+    total = cells("all joints", *pooled, "", last.nrms, "" if mixed else floor, share)
+    head = ("joint", *stages, "std", "nrms", "noise", "removable")
+    return Table(head, (*rows, total), total=1, deep=("removable",))
 
 
 def _share(share: float) -> Cell:
@@ -586,42 +595,62 @@ def candidates_table(diagnosis: Diagnosis, units: Units) -> Table:
         cells(
             "=" if candidate.tied and count > 1 else count,
             effect_cell(candidate.effect, units),
-            words.places_label(candidate.where, units.driven, most=_MOST_LISTED),
-            *(candidate.error_before, candidate.error_after, candidate.evidence),
+            Cell(
+                words.places_label(candidate.where, units.driven, most=_MOST_LISTED),
+                typed=words.places_label(candidate.where, units.driven, most=_MOST_TYPED),
+            ),
+            *(candidate.error_after, candidate.evidence),
             chance(candidate.false_alarm_probability),
         )
         for count, candidate in enumerate(diagnosis.candidates, 1)
     ]
-    head = ("", "effect", "where", "before", "after", "evidence", "by chance")
-    return Table(head, rows, words=3)
+    head = ("", "effect", "where", "nrms", "evidence", "by chance")
+    return Table(head, rows, words=3, deep=("by chance",))
+
+
+def failing_table(title: str, comparison: Comparison) -> Table:
+    """Return where a model fails; rows always include the worst joint."""
+    rows = [
+        cells(
+            *(case.joint, case.circumstance),
+            *(f"{number(rms)} {case.unit}" for rms in (case.rms, case.elsewhere)),
+            *map(percent, (case.share, case.time)),
+        )
+        for case in comparison.failing
+    ]
+    worst = words.worst_joint(comparison.errors)
+    is_named = worst.joint in {case.joint for case in comparison.failing}
+    if len(comparison.errors.joints) > 1 and not (is_named or worst.is_noise):
+        rows.insert(0, cells(worst.joint, f"throughout: nrms {number(worst.nrms)}", *[""] * 4))
+    head = ("joint", "largest error", "RMS there", "elsewhere", "of squared error", "of samples")
+    title = words.capitalized(title)
+    return Table(head, rows, words=2, title=title, deep=("of squared error", "of samples"))
 
 
 def steps_table(explanation: Explanation, units: Units) -> Table:
-    """Return the steps with places, parameters, rivals, errors and probabilities."""
-    start, refitted = explanation.start.nrms, explanation.refitted.nrms
-    rows = [cells("", "as it stands", "", "", start, "", "", "")]
-    if explanation.steps:
-        rows.append(cells("", "refitted", "no effect added", start, refitted, "", "", ""))
-    for count, step in enumerate(explanation.steps, 1):
-        others = words.rivals(step)
-        lines = [
-            words.step_place(step, units.driven, most=_MOST_LISTED),
-            *words.step_parameters(step, units),
-            *([f"or: {others}"] if others else []),
-        ]
+    """Return the steps with places, parameters, errors and probabilities."""
+    rest = [""] * 4
+    rows = [
+        cells("the model as it stands", "", "", explanation.start.nrms, *rest),
+        cells("its inertias refitted", "", "", explanation.refitted.nrms, *rest),
+    ]
+    for step in explanation.steps:
         rows.append(
             cells(
-                *(count, effect_cell(step.effect, units), "\n".join(lines)),
-                *(step.error_before, step.error_after),
-                *map(percent, (step.agreement, step.probability)),
+                effect_cell(step.effect, units),
+                Cell(
+                    words.step_place(step, units.driven, most=_MOST_LISTED),
+                    typed=words.step_place(step, units.driven, most=_MOST_TYPED),
+                ),
+                "\n".join(words.step_parameters(step, units)),
+                step.error_after,
+                *map(percent, (step.probability, step.unknown_probability)),
                 chance(step.false_alarm_probability),
+                percent(step.agreement),
             )
         )
-    head = (
-        *("", "effect", "where, how much", "before", "after"),
-        *("blocks better", "probability", "by chance"),
-    )
-    return Table(head, rows, words=3, deep=("blocks better", "by chance"))
+    deep = ("unknown", "by chance", "blocks better")
+    return Table(("effect", "where", "value", "nrms", "probability", *deep), rows, 3, deep=deep)
 
 
 def effect_cell(name: str, units: Units) -> Cell:
@@ -647,7 +676,7 @@ def parameters_table(step: Step, units: Units) -> Table:
         columns.append(column)
     rows = [cells(*row) for row in zip(places, *columns, strict=True)]
     title = words.capitalized(words.effect_label(step.effect))
-    return Table(tuple(head), rows, title=title, detailed=not words.is_summarized(step))
+    return Table(tuple(head), rows, title=title)
 
 
 def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:

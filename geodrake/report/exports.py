@@ -42,7 +42,7 @@ def export_page(found: ProvenExport, about: About) -> Page:
         if costs.ignored is not None:
             tiles.append(Tile("simulated", number(costs.ignored), f"nrms without {ignored}"))
     names = [lost.effect for lost in found.lacks]
-    headline, rest = "The files have the whole model", []
+    headline, facts = "The files have the whole model", dict[str, str]()
     if names:
         lacks = ", ".join(names) if len(names) <= _MOST_NAMED else f"{len(names)} effects"
         headline = f"The files have the model except {lacks}"
@@ -52,17 +52,16 @@ def export_page(found: ProvenExport, about: About) -> Page:
     if ignored:
         engine = found.proof.differences[0].engine.partition(" ")[0]
         cost = "" if costs is None or costs.ignored is None else f": nrms {number(costs.ignored)}"
-        rest.append(f"{engine} ignores {ignored} in them{cost}.")
+        facts["Ignored"] = f"{ignored} by {engine}{cost}"
     deviating = [difference for difference in found.proof.differences if not difference.is_rounding]
     if deviating:
-        rest.append(f"{deviating[0].engine} differs from geodrake by more than rounding.")
+        facts["Loaded again"] = f"{deviating[0].engine} differs by more than rounding"
     elif found.proof.differences:
-        rest.append("The simulators that load them agree with geodrake to rounding.")
+        facts["Loaded again"] = "simulators agree with geodrake to rounding"
     nrms_note = "" if costs is None else f" nrms without each, {number(costs.whole)} with all."
     log_names = f", on {', '.join(about.logs)}" if about.logs else ""
     return Page(
         about,
-        "exported",
         f"{headline}.",
         (
             Section(
@@ -87,7 +86,8 @@ def export_page(found: ProvenExport, about: About) -> Page:
             notes_section(found.notes),
         ),
         of=f"{about.model} to {found.form.name}{log_names}",
-        lead=(" ".join(rest),) if rest else (),
+        verdict="exported",
+        facts=facts,
         tiles=tuple(tiles),
         footer="Made by geodrake: a model written for a simulator, and loaded again.",
     )
@@ -158,7 +158,6 @@ def check_page(found: DynamicsCheck, about: About) -> Page:
     table = Table(("quantity", "largest at", "difference", "of", "relative"), rows, words=2)
     return Page(
         about,
-        "checked",
         _check_words(found),
         (
             Section(
@@ -168,6 +167,7 @@ def check_page(found: DynamicsCheck, about: About) -> Page:
             ),
             notes_section(found.notes),
         ),
+        verdict="checked",
         of=f"{about.model} against MultibodyPlant, {states}",
     )
 
@@ -237,13 +237,13 @@ def digests_page(run: DigestRun, about: About) -> Page:
     failures = [f"{row.file}: {row.reason}" for row in run.rows if row.status == FAILED]
     return Page(
         about,
-        "digested",
         headline,
         (
             Section(f"Digests in {run.folder}", tables=(Table(head, rows, words=5),)),
             Section("Logs without a digest", items=tuple(failures)),
             notes_section(digest_notes(run)),
         ),
+        verdict="digested",
     )
 
 
@@ -303,7 +303,7 @@ def logs_page(found: InspectedLogs, about: About) -> Page:
             notes_section(each.notes, each.first),
         ]
     first = first_section([f"{name}: {words}" for name, each in found.logs for words in each.first])
-    return Page(about, "understood", "", tuple(sections), of="", verdict="", first=(first,))
+    return Page(about, "", tuple(sections), of="", verdict="", first=(first,))
 
 
 def _columns_table(found: LogInspection) -> Table:

@@ -60,21 +60,23 @@ def fleet_page(result: FleetResult, about: About) -> Page:
     changed = [robot for robot in result.robots if robot.findings]
     steady = [robot for robot in result.robots if not robot.findings]
     shown = (changed or [robot for robot in steady if robot.logs][:1])[:_MOST_SECTIONS]
-    folder = [f"All results are in {result.folder}."] if result.folder else []
     logs = sum(robot.logs for robot in result.robots)
     count = f"{_counted(len(result.robots), 'robot')}, {_counted(logs, 'log')}"
-    most_certain = [
-        f"Most certain: {_change_label(finding)} of {finding.where} in {finding.robot}, since "
-        f"{_since(finding)}: {_size(finding)}."
-        for finding in result.findings[:1]
-    ]
+    facts = {"All results": f"in {result.folder}"} if result.folder else {}
+    if result.findings:
+        finding, *_ = result.findings
+        change = f"{_change_label(finding)} of {finding.where} in {finding.robot}"
+        certain = f"{change}, since {_since(finding)}: {_size(finding)}"
+        facts = {"Most certain": certain, **facts}
     last = max(result.findings, key=lambda finding: finding.date, default=None)
     latest = [] if last is None else [Tile("latest", _since(last), last.robot, words=True)]
     unused = [f"{log.robot}: {log.address}: {log.reason}" for log in result.unused]
-    more = [f"and {len(unused) - _MOST_UNUSED} more" + (f", in {result.folder}" if folder else "")]
+    more = [
+        f"and {len(unused) - _MOST_UNUSED} more"
+        + (f", in {result.folder}" if result.folder else "")
+    ]
     return Page(
         about,
-        CHANGED if changed else STEADY,
         fleet_verdict(result),
         (
             Section(
@@ -106,7 +108,7 @@ def fleet_page(result: FleetResult, about: About) -> Page:
         ),
         of=f"{about.model}: {count}, {result.made} digested now",
         verdict=CHANGED if changed else STEADY,
-        lead=(*most_certain, *folder),
+        facts=facts,
         tiles=(
             Tile("changed", str(result.count(CHANGED)), f"of {len(result.robots)} robots"),
             Tile("steady", str(result.count(STEADY)), "without changes"),

@@ -89,4 +89,4 @@ def notebook_html(page: Page) -> str:
     sections = [section for section in page.shown_sections if not section.detailed]
     shown = [table for s in sections for table in s.shown_tables if not table.detailed]
     template = templates().get_template("notebook.html.jinja")
-    return template.render(sentence=page.sentence, tables=shown)
+    return template.render(answer=page.answer, tables=shown)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from itertools import compress
 from typing import TYPE_CHECKING, Any
 
-from geodrake.report.charts import Bars, Chart, Stage
+from geodrake.report.charts import Bars, Chart
 from geodrake.report.json_output import record
 from geodrake.report.numbers import Units, number
 
@@ -24,7 +24,7 @@ class Cell:
     text: str  # one or several lines
     note: str = ""  # small text below, on HTML pages
     bar: float | None = None  # length in [0, 1] of a bar beside the text, on HTML pages
-    typed: str = ""  # name in commands, which terminals and notebooks show instead of the text
+    typed: str = ""  # name or shorter text, which terminals and notebooks show instead
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,6 @@ class Section:
     bars: tuple[Bars, ...] = ()
     tables: tuple[Table, ...] = ()
     items: tuple[str, ...] = ()
-    lists: Mapping[Stage, tuple[str, ...]] = field(default_factory=dict)  # side by side
     commands: tuple[str, ...] = ()  # commands to copy
     charts: tuple[Chart, ...] = ()
     detailed: bool = False  # whether only HTML pages show it
@@ -84,7 +83,7 @@ class Section:
     @property
     def says_something(self) -> bool:
         """Return whether there is any content besides the title and texts."""
-        parts = (self.bars, self.shown_tables, self.items, self.lists, self.commands, self.charts)
+        parts = (self.bars, self.shown_tables, self.items, self.commands, self.charts)
         return any(parts)
 
 
@@ -135,12 +134,11 @@ class Page:
     """The content of a result.
 
     Attributes:
-        mark: The verdict in a few words.
-        headline: The answer, in a sentence.
+        headline: The answer, in a short sentence.
         verdict: "adequate", "explained", "unexplained" or "undecided", which set the colour, or
             another word if there is no verdict.
         of: The subject, if it is not the model and the logs.
-        lead: Paragraphs that interpret the answer.
+        facts: Label -> a short fact, or "".
         tiles: Numbers at the top of the page.
         first: Sections to check first: mistakes in columns, and omitted data.
         compared: Title -> comparison whose errors colour a picture of the robot.
@@ -148,12 +146,11 @@ class Page:
     """
 
     about: About
-    mark: str
     headline: str
     sections: tuple[Section, ...]
     verdict: str = "compared"
     of: str | None = None
-    lead: tuple[str, ...] = ()
+    facts: Mapping[str, str] = field(default_factory=dict)
     tiles: tuple[Tile, ...] = ()
     footer: str = ""
     first: tuple[Section, ...] = ()
@@ -172,11 +169,10 @@ class Page:
         return tuple(section for section in self.sections if section.says_something)
 
     @property
-    def sentence(self) -> str:
-        """Return the answer and its interpretation, as a paragraph."""
-        judged = self.verdict in ("adequate", "explained", "unexplained", "undecided")
-        mark = f"{self.mark[:1].upper()}{self.mark[1:]}. " if judged else ""
-        return " ".join((f"{mark}{self.headline}", *self.lead))
+    def answer(self) -> dict[str, str]:
+        """Return the headline and the facts by their labels, without empty ones."""
+        answer = {"Verdict": self.headline, **self.facts}
+        return {label: text for label, text in answer.items() if text}
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,6 @@ from geodrake.identification.logs.model_errors import Comparison
 from geodrake.inertia import Array
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
-from geodrake.report.charts import Stage
 from geodrake.report.explaining import comparison_page
 from geodrake.report.numbers import Units, number, percent
 from geodrake.report.page import About, Page, Section, View
@@ -37,7 +36,7 @@ from geodrake.report.robot_scene import (
     posed_links,
     top_error,
 )
-from geodrake.report.words import effect_label
+from geodrake.report.words import capitalized, effect_label
 from geodrake.robot.shapes import RobotShapes
 
 MOST_SECONDS = 30.0
@@ -398,17 +397,21 @@ def _worst_moments(
 def playback_page(playback: Playback, about: About) -> Page:
     """Return the page of a playback."""
     *_, last = playback.models
-    lists = {}
-    for played in playback.models:
-        words = f"{played.title}, nrms {number(played.comparison.errors.nrms)} on {played.data}"
-        stage = Stage(words, "after" if played is last else "before")
-        lists[stage] = tuple(map(playback.moment_words, played.moments))
+    items = [
+        f"{played.title}: {playback.moment_words(moment)}"
+        for played in playback.models
+        for moment in played.moments
+    ]
+    errors = {
+        capitalized(played.title): f"nrms {number(played.comparison.errors.nrms)} on {played.data}"
+        for played in playback.models
+    }
     page = comparison_page(last.comparison, about)
     *others, notes = page.sections
     notes = replace(notes, items=(*playback.left_out, *playback.shapes.notes, *notes.items))
     detailed = (replace(each, detailed=True) for each in others)
-    sections = (Section("Worst moments", lists=lists), *detailed, notes)
-    return replace(page, sections=sections, compared={})
+    sections = (Section("Worst moments", items=tuple(items)), *detailed, notes)
+    return replace(page, sections=sections, facts={**errors, **page.facts}, compared={})
 
 
 def effect_words(fitted: FittedEffect, units: Units) -> str:

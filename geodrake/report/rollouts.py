@@ -61,7 +61,7 @@ def rollout_page(found: Simulated | Rollout, about: About) -> Page:
     tiles = [Tile("before", departure(before.relative), "of the motion")] if before else []
     tiles.append(Tile("departure", departure(after.relative), "of the motion"))
     sections = motion, Section("Notes", items=after.notes)
-    page = Page(about, "simulated", f"{headline}.", sections, tiles=tuple(tiles))
+    page = Page(about, f"{headline}.", sections, verdict="simulated", tiles=tuple(tiles))
     return _with_rollout(page, after)
 
 
@@ -69,11 +69,11 @@ def rollout_fit_page(found: RolloutFit, about: About) -> Page:
     """Return the page of a fit to rollouts."""
     units, (before, after) = about.units, found.held_out
     tested = sum(found.tested)
-    fitted = "Elastic joints and backlash"
+    fitted = "elastic joints and backlash"
     if not is_soft(found.model):
-        fitted = "Servos, elasticity and backlash"
+        fitted = "servos, elasticity and backlash"
     elif any(value.effect == SERVO for value in found.values):
-        fitted = "Elastic joints, backlash, servos and motors"
+        fitted = "elastic joints, backlash, servos and motors"
     sections = (
         Section(
             "Fitted values",
@@ -94,10 +94,10 @@ def rollout_fit_page(found: RolloutFit, about: About) -> Page:
     )
     page = Page(
         about,
-        "fitted" if found.taken else "stays",
         capitalized(rollout_fit_words(found)),
         (*sections, Section("Notes", items=found.notes)),
-        lead=(f"{fitted} were fitted to the motion; all else is unchanged.",),
+        verdict="fitted",
+        facts={"Fitted": f"{fitted}; all else is unchanged"},
         tiles=tiles,
     )
     return _with_rollout(page, after)

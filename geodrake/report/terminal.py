@@ -14,9 +14,6 @@ from rich.text import Text
 from geodrake.boundary.escaping import printable
 from geodrake.report.page import Page, Section, Table
 
-_PLACES_WIDTH = 36
-_WIDE = 110  # columns of a terminal in which table rows may have several lines
-
 
 class ResultsConsole(Console):
     """Console that escapes control characters, so that no string can control the terminal."""
@@ -41,34 +38,32 @@ def show_page(console: Console, page: Page, *, details: bool = True) -> None:
     sections = [s for s in printed if details or not s.deep]
     for section in filter(_is_printed, page.first):
         show_section(console, section)
-    if page.headline:
-        show_paragraph(console, "Verdict", page.sentence)
+    if page.answer:
+        console.print()
+        _show_labelled(console, page.answer)
     for section in sections:
         show_section(console, section, details=details)
     if hidden := [s.title[:1].lower() + s.title[1:] for s in printed if s.deep and not details]:
-        show_paragraph(console, "--details adds", ", ".join(hidden))
+        console.print()
+        _show_labelled(console, {"--details adds": ", ".join(hidden)})
 
 
 def _is_printed(section: Section) -> bool:
     tables = [table for table in section.shown_tables if not table.detailed]
-    return bool(tables or section.items or section.lists or section.commands)
+    return bool(tables or section.items or section.commands)
 
 
 def show_section(console: Console, section: Section, *, details: bool = True) -> None:
     """Print a section under its heading, without its charts."""
-    if not section.lists:
-        _head(console, section.title)
-        if section.text and (section.shown_tables or section.commands):
-            console.print(Text(printable(section.text)), soft_wrap=not console.is_terminal)
+    _head(console, section.title)
+    if section.text and (section.shown_tables or section.commands):
+        console.print(Text(printable(section.text)), soft_wrap=not console.is_terminal)
     for table in section.shown_tables:
         if not table.detailed:
             if table.title:
                 _head(console, table.title)
             _show_table(console, table if details else table.in_short)
     _show_items(console, (*section.items, *section.commands))
-    for stage, items in section.lists.items():
-        _head(console, f"{section.title}: {stage.label[:1].lower()}{stage.label[1:]}")
-        _show_items(console, items)
 
 
 def show_saved(console: Console, saved: Mapping[Path, str], others: Sequence[object] = ()) -> None:
@@ -81,11 +76,16 @@ def show_saved(console: Console, saved: Mapping[Path, str], others: Sequence[obj
         console.print(f"Saved the {words}: {path}", soft_wrap=True)
 
 
-def show_paragraph(console: Console, head: str, sentence: str) -> None:
-    """Print a paragraph, in a pipe on one line."""
-    text = Text.assemble((f"{head}: ", "bold"), printable(sentence))
-    console.print()
-    console.print(text, soft_wrap=not console.is_terminal)
+def _show_labelled(console: Console, texts: Mapping[str, str]) -> None:
+    """Print texts after their labels, in a pipe on one line each."""
+    grid = Grid.grid(padding=(0, 1, 0, 0))
+    grid.add_column(no_wrap=True, style="bold")
+    for label, text in texts.items():
+        grid.add_row(f"{label}:", Text(printable(text)))
+        if not console.is_terminal:
+            console.print(f"{label}: {text}", soft_wrap=True)
+    if console.is_terminal:
+        console.print(grid)
 
 
 def _head(console: Console, words: str) -> None:
@@ -104,11 +104,6 @@ def _show_items(console: Console, items: Sequence[str]) -> None:
 
 
 def _show_table(console: Console, table: Table) -> None:
-    """Print a table.
-
-    In a narrow terminal, further lines of its rows are printed below.
-    """
-    wide = not console.is_terminal or console.width >= _WIDE
     grid = Grid(
         box=box.SIMPLE_HEAD if console.is_terminal else None,
         show_edge=False,
@@ -117,24 +112,16 @@ def _show_table(console: Console, table: Table) -> None:
     )
     for k, name in enumerate(table.head):
         if k < table.words:
-            width = _PLACES_WIDTH if name.startswith("where") else None
-            grid.add_column(
-                printable(name), overflow="fold", max_width=width, no_wrap=name == "effect"
-            )
+            grid.add_column(printable(name), overflow="fold", no_wrap=name == "effect")
         else:
             title = printable(name).replace(" ", "\n" if console.is_terminal else " ")
             grid.add_column(Text(title), justify="right", no_wrap=True)
-    notes = []
     for k, row in enumerate(table.rows):
         if table.total and k == len(table.rows) - table.total:
             grid.add_section()
-        lines = [[printable(t) for t in (c.typed or c.text).split("\n")] for c in row]
-        if not wide:
-            pairs = list(zip(lines, row, strict=True))
-            more = [line for entry, cell in pairs if not cell.typed for line in entry[1:]]
-            name = next((cell.typed for cell in row if cell.typed), row[0].text)
-            notes += [f"{name}: {'; '.join(more)}".replace("\n", " ")] if more else []
-            lines = [entry if cell.typed else entry[:1] for entry, cell in pairs]
-        grid.add_row(*(Text("\n".join(entry)) for entry in lines))
+        grid.add_row(*(_printable_lines(cell.typed or cell.text) for cell in row))
     console.print(grid)
-    _show_items(console, notes)
+
+
+def _printable_lines(text: str) -> Text:
+    return Text("\n".join(map(printable, text.split("\n"))))

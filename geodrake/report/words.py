@@ -12,22 +12,22 @@ from geodrake.diagnosis.drafting import Correlate
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
 from geodrake.diagnosis.search_progress import FoundStep
 from geodrake.effects import catalogue
-from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Failing, JointError
+from geodrake.identification.logs.model_errors import Comparison, ErrorTable, JointError
 from geodrake.report.numbers import Units, estimate, number, percent
 
 MOST_NAMED = 4
-_MOST_VALUES = 2  # places whose values are listed one by one
+_MOST_VALUES = 2  # places whose values are listed rather than summarized as a range
 _LIKELY = 0.01  # least probability of a rival that is named
-_NEARLY_ALL = 0.9995
 _NOTABLE = 0.05  # share of a joint's remaining squared error that its motion predicts
 _MOST_PLACES = 3
 _PRACTICAL = 1.5  # multiple of the noise that still counts as noise in practice
 _PROPER_NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck", "com": "CoM"}
 NOTHING = {
-    "adequate": "No effect is worth adding.",
-    "undecided": "No effect is worth adding; the logs cannot tell whether one is missing.",
-    "unexplained": "No known effect explains the error.",
+    "adequate": "Adequate: no effect is worth adding.",
+    "undecided": "Undecided: the logs cannot tell whether an effect is missing.",
+    "unexplained": "Unexplained: no known effect explains the error.",
 }
+NRMS = "nrms is the RMS error / standard deviation of the measured effort"
 
 
 def listed(names: Sequence[str], last: str = "and") -> str:
@@ -88,30 +88,38 @@ def ordered_places(step: Step) -> list[str]:
 
 
 def step_parameters(step: Step, units: Units) -> tuple[str, ...]:
-    """Return a line for each parameter of a step: its values at few places, or their range."""
+    """Return a line for each parameter of a step: its value, or its values at several places.
+
+    A deviation includes the systematic one. Names that the effect's name contains are omitted.
+    """
     values = _by_name(step)
     summary = units.effects[step.effect].summary if step.effect in units.effects else ""
     if summary in values:
         values = {summary: values[summary]}
-    return tuple(f"{name} {_amount(step, name, units)}" for name in values)
-
-
-def is_summarized(step: Step) -> bool:
-    """Return whether `step_parameters` gives ranges over places, not the value at each."""
-    return any(len(values) > _MOST_VALUES for values in _by_name(step).values())
+    is_clear = {name: len(values) == 1 or name in step.effect for name in values}
+    return tuple(
+        _amount(step, name, units) if is_clear[name] else f"{name} {_amount(step, name, units)}"
+        for name in values
+    )
 
 
 def _amount(step: Step, name: str, units: Units) -> str:
     """Return values of one parameter with their unit."""
     values = _by_name(step)[name]
     unit = units.parameter(step.effect, name, next(iter(values)))
-    if len(values) > _MOST_VALUES:
-        rounding = 1e-9 * max(map(abs, values.values()))  # at a bound
-        known = [0.0 if abs(value) <= rounding else value for value in values.values()]
+    rounding = 1e-9 * max(map(abs, values.values()))  # at a bound
+    known = [0.0 if abs(value) <= rounding else value for value in values.values()]
+    if len(values) == 1:
+        (place,) = values
+        tables = step.deviations, step.systematic
+        deviation, systematic = (t.get(place, {}).get(name, np.nan) for t in tables)
+        total = math.hypot(deviation, systematic if math.isfinite(systematic) else 0.0)
+        text = estimate(*(units.shown(step.effect, name, x) for x in (values[place], total)))
+    elif len(values) <= _MOST_VALUES:
+        text = ", ".join(number(units.shown(step.effect, name, value)) for value in known)
+    else:
         low, high = (number(units.shown(step.effect, name, end(known))) for end in (min, max))
         text = low if low == high else f"{low} … {high}"
-    else:
-        text = ", ".join(parameter_value(step, place, name, units) for place in values)
     return f"{text} {unit}" if unit else text
 
 
@@ -125,16 +133,13 @@ def _by_name(step: Step) -> Mapping[str, Mapping[str, float]]:
 
 
 def finding(step: Step, units: Units) -> str:
-    """Return the finding of a step, such as `payload (wrist_3_link, 3.08 ± 0.04 kg)`."""
-    words, values = step_place(step, units.driven, most=MOST_NAMED), _by_name(step)
-    name = "mass" if "mass" in values else next(iter(values), "")
-    if name == "mass" or (len(values) == 1 and not is_summarized(step)):
-        words += f", {_amount(step, name, units)}"
-    return f"{effect_label(step.effect)} ({words})"
+    """Return the finding of a step, such as `payload (wrist_3_link)`."""
+    place = step_place(step, units.driven, most=MOST_NAMED)
+    return f"{effect_label(step.effect)} ({place})"
 
 
 def found_words(step: FoundStep) -> str:
-    """Return a step of the search: `payload on flange: nrms 0.703 -> 0.266`."""
+    """Return a step of the search and the error after it: `payload on flange: nrms 0.266`."""
     names, more = step.where[:_MOST_PLACES], len(step.where) - _MOST_PLACES
     where = listed([*names, f"{more} more"]) if more > 0 else places_label(names, ())
     change = step.effect or f"without {listed(step.instead_of)}"
@@ -142,7 +147,7 @@ def found_words(step: FoundStep) -> str:
         change += f" on {where}"
     if step.effect and step.instead_of:
         change += f", instead of {listed(step.instead_of)}"
-    return f"{change}: nrms {number(step.before)} -> {number(step.after)}"
+    return f"{change}: nrms {number(step.after)}"
 
 
 def lowers_error(step: Step) -> bool:
@@ -163,34 +168,12 @@ def rivals(step: Step) -> str:
         where = f" at {listed(rival.where)}" if rival.effect == step.effect and rival.where else ""
         if share >= _LIKELY:
             likely.append(f"{effect_label(rival.effect)}{where} {percent(share)}")
-    if step.unknown_probability >= _LIKELY:
-        likely.append(f"something unknown {percent(step.unknown_probability)}")
-    return ", ".join(likely)
+    return listed(likely, "or")
 
 
 def worst_joint(errors: ErrorTable) -> JointError:
     """Return the joint of largest nrms; NaN counts as the largest."""
     return max(errors.joints, key=lambda joint: np.nan_to_num(joint.nrms, nan=np.inf))
-
-
-def failing_words(case: Failing) -> str:
-    """Return where the error of a joint is largest, in a sentence."""
-    return (
-        f"{case.joint}: largest {case.circumstance}, RMS {number(case.rms)} {case.unit} there and "
-        f"{number(case.elsewhere)} elsewhere ({in_words(case.share)} of the squared error in "
-        f"{in_words(case.time)} of the samples)."
-    )
-
-
-def failing_list(comparison: Comparison) -> tuple[str, ...]:
-    """Return where a model fails, in sentences that always include the worst joint."""
-    words = tuple(map(failing_words, comparison.failing))
-    worst = worst_joint(comparison.errors)
-    named = {case.joint for case in comparison.failing}
-    if len(comparison.errors.joints) < 2 or worst.is_noise or worst.joint in named:
-        return words
-    nrms = number(worst.nrms)
-    return (f"{worst.joint}: the largest nrms of all joints ({nrms}), throughout.", *words)
 
 
 def correlate_words(found: Correlate) -> str:
@@ -215,67 +198,54 @@ def removable_share(errors: ErrorTable) -> float:
     return max(0.0, explained_share(errors.nrms, errors.floor_nrms))
 
 
-def explanation_mark(explanation: Explanation, *, added: bool = False) -> str:
-    """Return the verdict of an explanation in a few words."""
-    end, steps = explanation.end, explanation.steps
-    if added or (steps and not any(map(lowers_error, steps))):
-        return "added"
-    if explanation.verdict != "unexplained" or not steps:
-        return explanation.verdict
-    is_practical = end.shows_noise and end.nrms <= _PRACTICAL * end.floor_nrms
-    return "explained to practical noise" if is_practical else "explained in part"
-
-
-def explanation_headline(explanation: Explanation, units: Units, *, added: bool = False) -> str:
-    """Return the answer of an explanation in a sentence or two."""
-    steps = explanation.steps
+def explanation_headline(explanation: Explanation, *, added: bool = False) -> str:
+    """Return the verdict on an explanation and the change of its error, in a short sentence."""
+    start, end, steps = explanation.start, explanation.end, explanation.steps
     if not steps:
         return NOTHING[explanation.verdict]
-    if added:
-        return f"Added: {listed([finding(step, units) for step in steps])}."
-    certain = [step for step in steps if is_convincing(step)]
-    doubtful = [step for step in steps if not is_convincing(step)]
-    parts = [f"Missing: {_findings(certain, units)}."] if certain else []
-    if doubtful:
-        parts.append(f"Less certain: {_findings(doubtful, units)}.")
-    return " ".join(parts)
+    mark: str = explanation.verdict
+    if added or not any(map(lowers_error, steps)):
+        mark = "added"
+    elif mark == "unexplained":
+        is_practical = end.shows_noise and end.nrms <= _PRACTICAL * end.floor_nrms
+        mark = "explained to practical noise" if is_practical else "explained in part"
+    return f"{capitalized(mark)}: {nrms_change(start.nrms, end.nrms)}."
 
 
 def _findings(steps: Sequence[Step], units: Units) -> str:
-    """Return effects with their places, or without them if that would be long."""
-    groups: dict[tuple[str, ...], list[Step]] = {}
-    for step in steps:
-        groups.setdefault(step.where, []).append(step)
-    if len(groups) > _MOST_PLACES:
-        return listed([effect_label(step.effect) for step in steps])
-    return "; ".join(
-        finding(group[0], units)
-        if len(group) == 1
-        else f"{listed([effect_label(step.effect) for step in group])} "
-        f"({step_place(group[0], units.driven, most=MOST_NAMED)})"
-        for group in groups.values()
-    )
+    """Return effects, with their places if these are few."""
+    if len(steps) > _MOST_PLACES:
+        return ", ".join(effect_label(step.effect) for step in steps)
+    return ", ".join(finding(step, units) for step in steps)
 
 
-def explanation_lead(explanation: Explanation, *, advised: bool) -> tuple[str, ...]:
-    """Return paragraphs that interpret an explanation, with advice on the remaining error."""
-    start, end = explanation.start, explanation.end
-    if not explanation.steps:
-        first = f"The error of the model as it stands is {error_size(start)}."
-    else:
-        first = f"{_nrms_change(start.nrms, end.nrms)}."
-        worse = [step for step in explanation.steps if not lowers_error(step)]
-        if worse:
-            names = listed([effect_label(step.effect) for step in worse])
-            ends = f"nrms {number(worse[0].error_before)} -> {number(worse[0].error_after)}"
-            first += f" {capitalized(names)} did not lower it ({ends})."
-    if explanation.is_interrupted:
-        first += " The search was interrupted: more may be missing."
+def explanation_facts(
+    explanation: Explanation, units: Units, *, added: bool, advised: bool
+) -> dict[str, str]:
+    """Return the findings, what is left, and advice on it."""
+    steps = explanation.steps
+    certain = [step for step in steps if added or is_convincing(step)]
+    worse = [
+        f"{effect_label(step.effect)} (nrms {number(step.error_before)} → "
+        f"{number(step.error_after)})"
+        for step in steps
+        if not lowers_error(step)
+    ]
+    facts = {
+        "Added" if added else "Missing": _findings(certain, units),
+        "Less certain": _findings([step for step in steps if step not in certain], units),
+        "No help": listed(worse),
+        "Interrupted": "more may be missing" * explanation.is_interrupted,
+    }
     if explanation.verdict != "unexplained":
-        return first, f"{capitalized(_error_cause(explanation))}."
-    advice = "--draft-effect my_effect.py searches for a formula of the remaining error."
-    rest = " ".join((*_remaining_error(end), *_motion_shares(explanation)))
-    return (first, rest, advice) if advised else (first, rest)
+        facts["Remaining error"] = _error_cause(explanation)
+    else:
+        facts["Remaining error"] = error_size(explanation.end)
+        facts["Depends on"] = _motion_shares(explanation)
+        facts["Next"] = (
+            "--draft-effect my_effect.py searches for a formula of the remaining error" * advised
+        )
+    return facts
 
 
 def _error_cause(explanation: Explanation) -> str:
@@ -283,121 +253,86 @@ def _error_cause(explanation: Explanation) -> str:
     end, calibrated = explanation.end, explanation.at_found_gains
     if end.is_noise or explanation.verdict == "undecided":
         return noise_alone(end)
-    error = f"the remaining error, nrms {number(end.nrms)}, comes from"
-    noise = f"sensor noise is {number(end.floor_nrms)}"
     if calibrated is not None and calibrated.is_noise:
-        fitted = f"with gains fitted to the logs it is {number(calibrated.nrms)}"
-        return f"{error} the effort gains: {fitted}; {noise}"
+        fitted = f"nrms {number(calibrated.nrms)} with gains fitted to the logs"
+        return f"{error_size(end)}, from the effort gains ({fitted})"
     gains = "" if calibrated is None else ", and from the effort gains"
-    return f"{error} reversals, where the logs do not show the direction of motion{gains}; {noise}"
-
-
-def _nrms_change(before: float, after: float) -> str:
-    """Return the change of an error on held-out data, in words."""
-    removed = explained_share(before, after)
-    share = in_words(removed) if removed > 0 else "none"
     return (
-        f"nrms on held-out data {number(before)} → {number(after)} ({share} of the squared error "
-        "removed)"
+        f"{error_size(end)}, from reversals, where the logs do not show the direction of "
+        f"motion{gains}"
     )
 
 
-def _remaining_error(end: ErrorTable) -> tuple[str, ...]:
-    if not end.shows_noise:
-        return ("The logs show no noise to compare the remaining error with.",)
-    return (
-        f"The remaining error is {_times(end)}; a better model could remove "
-        f"{_at_most(removable_share(end))} of its square.",
-    )
+def nrms_change(before: float, after: float) -> str:
+    """Return the change of an error on held-out data."""
+    return f"nrms on held-out data {number(before)} → {number(after)}"
 
 
-def _motion_shares(explanation: Explanation) -> tuple[str, ...]:
-    """Return the shares of the remaining error that the motion predicts, in a sentence."""
+def _motion_shares(explanation: Explanation) -> str:
+    """Return the shares of the remaining error that the motion predicts."""
     shares = sorted(explanation.of_motion.items(), key=lambda joint: -joint[1])
     if not shares:
-        return ()
+        return ""
     notable = [f"{percent(share)} at {joint}" for joint, share in shares if share >= _NOTABLE]
     if not notable:
-        return (
-            f"Positions and velocities predict less than {percent(_NOTABLE)} of it: it is coloured "
-            "noise, or depends on something else, such as temperature or time.",
-        )
+        return "neither positions nor velocities; perhaps temperature or time, or coloured noise"
     shown, more = notable[:MOST_NAMED], len(notable) - MOST_NAMED
     shown += [f"less at {more} more"] if more > 0 else []
-    return (f"Positions and velocities predict {listed(shown)}.",)
+    return f"positions and velocities: {listed(shown)}"
 
 
-def diagnosis_lead(diagnosis: Diagnosis) -> tuple[str, ...]:
-    """Return paragraphs that interpret a diagnosis."""
+def diagnosis_facts(diagnosis: Diagnosis) -> dict[str, str]:
+    """Return the error of the best candidate and its alternatives, or what is left."""
     if not diagnosis.candidates:
-        first = f"The error of the model as it stands is {error_size(diagnosis.start)}."
-        if diagnosis.verdict != "unexplained":
-            return first, f"{capitalized(noise_alone(diagnosis.refitted))}."
-        return (first, *_remaining_error(diagnosis.refitted))
+        left = diagnosis.refitted
+        is_noise = diagnosis.verdict != "unexplained"
+        return {"Remaining error": noise_alone(left) if is_noise else error_size(left)}
     best, *others = diagnosis.candidates
-    first = f"With it, {_nrms_change(best.error_before, best.error_after)}."
     tied = [effect_label(e) for e in dict.fromkeys(o.effect for o in others if o.tied)]
-    tied = [effect for effect in tied if effect != effect_label(best.effect)]
-    if tied:
-        return first, f"It may be {listed(tied, 'or')} instead."
-    return first, f"No other candidate {'does as well' if others else 'is convincing'}."
+    return {
+        "With it": nrms_change(best.error_before, best.error_after),
+        "Or instead": listed([e for e in tied if e != effect_label(best.effect)], "or"),
+        "Next": "geodrake explain finds all that is missing",
+    }
 
 
-def comparison_lead(comparison: Comparison) -> tuple[str, ...]:
-    """Return paragraphs that interpret a comparison."""
+def comparison_facts(comparison: Comparison) -> dict[str, str]:
+    """Return the noise, the worst joint, and advice."""
     errors, worst = comparison.errors, worst_joint(comparison.errors)
-    first = f"The worst joint is {worst.joint} (nrms {number(worst.nrms)})."
-    if errors.shows_noise and not errors.knows_noise and errors.is_noise:
-        first = f"{capitalized(noise_alone(errors))}. {first}"
-    elif errors.shows_noise:
-        share = _at_most(removable_share(errors))
-        first = f"A better model could remove {share} of the squared error. {first}"
-    return (first,)
+    is_doubtful = errors.shows_noise and not errors.knows_noise and errors.is_noise
+    return {
+        "Noise": noise_alone(errors) if is_doubtful else "",
+        "Worst joint": f"{worst.joint} (nrms {number(worst.nrms)})",
+        "Next": "geodrake explain finds what is missing" * (not errors.is_noise),
+    }
 
 
 def error_size(errors: ErrorTable) -> str:
-    """Return the size of an error relative to the efforts and to the noise."""
-    words = (
-        f"{in_words(errors.nrms)} of the standard deviation of the measured efforts "
-        f"(nrms {number(errors.nrms)})"
-    )
-    return (
-        f"{words}, {_times(errors)}" if errors.shows_noise else f"{words}; the logs show no noise"
-    )
-
-
-def _times(errors: ErrorTable) -> str:
-    """Return an error as a multiple of the noise, and the joints that stand out."""
-    words = f"{number(errors.nrms / errors.floor_nrms)} times the sensor noise"
-    words += f" ({number(errors.floor_nrms)})"
+    """Return an error as a multiple of the noise, with the joints that stand out."""
+    nrms = f"nrms {number(errors.nrms)}"
+    if not errors.shows_noise:
+        return f"{nrms}; the logs show no noise"
+    size = f"{number(errors.nrms / errors.floor_nrms)} times the sensor noise ({nrms})"
     outliers = [
         f"{joint.joint} {number(joint.rms / joint.floor)} times its own"
         for joint in errors.above_noise
         if joint.floor > 0
     ]
     # If the total is noise, these joints alone account for the verdict.
-    return f"{words}, at {listed(outliers)}" if outliers and errors.whole_is_noise else words
+    return f"{size}; {listed(outliers)}" if outliers and errors.whole_is_noise else size
 
 
 def noise_alone(errors: ErrorTable) -> str:
     """Return the statement that an error is noise, or that the noise is too large or unknown."""
     if errors.is_mostly_noise:
         return (
-            f"the sensor noise (nrms {number(errors.floor_nrms)}) is as large as the explained "
-            "effort, so nothing can be concluded"
+            f"unknown: the sensor noise (nrms {number(errors.floor_nrms)}) is as large as the "
+            "explained effort"
         )
     if not errors.knows_noise:
         joints = listed([joint.joint for joint in errors.joints if not joint.knows_noise])
         return (
-            f"the noise of {joints} cannot be separated from the model error (nrms "
-            f"{number(errors.nrms)}), so more may be missing: efforts were filtered before, or "
-            "their noise is not white"
+            f"nrms {number(errors.nrms)}, inseparable from the noise of {joints}: efforts were "
+            "filtered before, or their noise is not white"
         )
-    nrms, floor = number(errors.nrms), number(errors.floor_nrms)
-    return f"the remaining error, nrms {nrms}, is sensor noise ({floor})"
-
-
-def _at_most(share: float) -> str:
-    if share <= 0:
-        return "none"
-    return "nearly all" if share >= _NEARLY_ALL else f"up to {in_words(share)}"
+    return f"sensor noise (nrms {number(errors.nrms)}, noise floor {number(errors.floor_nrms)})"

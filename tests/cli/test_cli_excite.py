@@ -255,7 +255,7 @@ class TestFeet:
         bent = ",".join(f"{name}={BENT.get(name[2:], 0.0)}" for name in joints)
         stand = ("--feet", "l_foot,r_foot", "--stand", bent, *self.FAST, "--json", numbers)
         output = excite(BIPED, *stand, "--effects", "viscous_friction@l_leg_kny", "--save", motion)
-        assert "On l_foot and r_foot, the zero-moment point goes up to" in output
+        assert "Balance: on l_foot and r_foot, the zero-moment point goes up to" in output
         found = json.loads(numbers.read_text())
         assert 0.0 < found["balance"]["polygon"] <= found["balance"]["margin"] == 0.9
         assert 0.0 < found["balance"]["friction"] <= 1.0

@@ -93,7 +93,7 @@ def test_each_effect_that_is_lacking_has_its_price(in_urdf):
     assert error["simulated_nrms"] > error["held_nrms"]
     for name in lacks:
         assert name in printed
-    assert "Drake ignores coulomb_friction" in printed
+    assert "Ignored: coulomb_friction by Drake" in printed
 
 
 def test_the_price_is_that_of_the_file_compared_with_the_log(folder, in_urdf):
@@ -126,7 +126,7 @@ def test_a_file_that_says_something_else_is_noticed(folder, tmp_path, monkeypatc
     kept = proof.without
     monkeypatch.setattr(proof, "without", lambda model, kinds: kept(load_model(MODEL), kinds))
     output, _ = export(folder / "model.yaml", "--to", "urdf", "out")
-    assert "differs from geodrake by more than rounding" in output
+    assert "differs by more than rounding" in output
 
 
 def test_a_floating_robot_goes_into_its_own_format():

@@ -134,7 +134,7 @@ def test_gains_of_efforts_are_no_missing_effect():
     assert (found.verdict, again.verdict) == ("explained", "adequate")
     for each in (found, again):
         assert not each.end.is_noise and each.at_found_gains.is_noise
-        assert "comes from the effort gains" in page_of(each).sentence
+        assert "from the effort gains" in page_of(each).answer["Remaining error"]
 
 
 @pytest.mark.parametrize("width", [0.008, 0.012])

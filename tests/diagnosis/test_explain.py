@@ -19,7 +19,6 @@ from geodrake.errors import ArgumentError, LogError
 from geodrake.inertia import is_physical
 from geodrake.logs import write_log
 from geodrake.logs.filtering import design_filter
-from geodrake.report.words import failing_words
 
 BANDWIDTH = 6.0
 pendulum_log = partial(pendulum_logs.pendulum_log, seconds=20.0)
@@ -110,7 +109,6 @@ def test_compare_names_where_it_fails():
     assert worst.joint == "elbow"
     assert worst.circumstance == "while moving forwards"
     assert worst.share > 0.9
-    assert "elbow: largest while moving forwards" in failing_words(worst)
 
 
 def test_explain_finds_the_planted_friction_and_reaches_the_floor(explained):

@@ -403,8 +403,8 @@ def test_a_payload_that_bodies_may_have_taken_in_is_said(loaded):
 @pytest.mark.parametrize(
     ("noise", "known", "verdict", "words"),
     [
-        (0.1, True, "adequate", "No effect is worth adding."),
-        (0.1, False, "undecided", "The noise of elbow cannot be separated"),
+        (0.1, True, "adequate", "Adequate: no effect is worth adding."),
+        (0.1, False, "undecided", "inseparable from the noise of elbow"),
         (0.8, True, "undecided", "as large as the explained effort"),
     ],
 )
@@ -416,8 +416,8 @@ def test_nothing_is_adequate_where_noise_is_not_known(noise, known, verdict, wor
     table = ErrorTable(joints)
     assert verdict_of(table, found=False) == verdict
     comparison = Comparison(table, (), (), ())
-    said = page_of(Diagnosis(verdict, (), table, table, comparison, ())).sentence
-    assert words in said
+    page = page_of(Diagnosis(verdict, (), table, table, comparison, ()))
+    assert words in " ".join(page.answer.values())
     assert (
         verdict_of(ErrorTable((JointError("elbow", 0.9, 1.0, 0.1),)), found=True) == "unexplained"
     )

@@ -23,12 +23,18 @@ from geodrake.errors import ArgumentError
 from geodrake.identification.logs.model_errors import ErrorTable, Failing, JointError
 from geodrake.identification.models import BodyChange
 from geodrake.report import Units, page_of
-from geodrake.report.explaining import Explained, errors_table, parameters_table, steps_table
+from geodrake.report.explaining import (
+    Explained,
+    errors_table,
+    failing_table,
+    parameters_table,
+    steps_table,
+)
 from geodrake.report.json_output import NoNumber
 from geodrake.report.numbers import chance, is_noticed, number, percent, shortened, with_deviation
 from geodrake.report.page import Cell
 from geodrake.report.views import numbers_of
-from geodrake.report.words import effect_label, failing_list, failing_words, listed, places_label
+from geodrake.report.words import effect_label, listed, places_label
 
 EVIL = "<script>alert('$x_{1')</script>&\"$"
 
@@ -78,13 +84,13 @@ def test_pages_hold_all_joints_and_what_was_found():
         assert all(re.search(rf"\b{joint}\b", text) for joint in joints)
         for words in (
             "arm.urdf against a.csv, b.csv",
-            "largest at speeds below 0.05 rad/s",
+            "at speeds below 0.05 rad/s",
             "geodrake",
             "How errors were measured",
         ):
             assert words in text
     for words in (
-        *("Missing: Coulomb friction (all 6 joints).", "explained in part", "3.084 ± 0.012"),
+        *("Missing Coulomb friction (all 6 joints)", "Explained in part: nrms", "3.084 ± 0.012"),
         *("Coulomb, N·m", "75 %", "Stribeck friction", "< 10⁻⁶", "a: bandwidth 4 Hz"),
     ):
         assert words in texts[0]
@@ -142,8 +148,8 @@ def test_effects_without_a_class_and_without_deviations():
 
 def test_verdicts_without_steps():
     for verdict, words in (
-        ("adequate", "No effect is worth adding"),
-        ("unexplained", "No known effect explains"),
+        ("adequate", "Adequate: no effect is worth adding."),
+        ("unexplained", "Unexplained: no known effect explains"),
     ):
         text = check_self_contained(page(explanation(joint_names(2), (), verdict=verdict)))
         assert words in text
@@ -154,11 +160,11 @@ def test_a_diagnosis_tells_ties_and_silence():
     joints = joint_names(3)
     text = unescape(check_self_contained(page(diagnosis(joints), saved="my arm.yaml")))
     assert "Missing: Coulomb friction + viscous friction (all 3 joints)." in text
-    assert "It may be asymmetric friction instead." in text
+    assert "Or instead asymmetric friction" in text
     command = "geodrake excite 'my arm.yaml' --tell-apart coulomb_friction,asymmetric_friction"
     assert f"{command} --save motion_1.csv" in text
     text = check_self_contained(page(diagnosis(joints, candidates=False)))
-    assert "No known effect explains" in text
+    assert "no known effect explains" in text
 
 
 def test_perfect_models_and_nan_positions_can_be_drawn():
@@ -248,7 +254,7 @@ def test_many_places_are_counted_and_those_of_a_base_are_none():
     found = explanation(joints, [friction(joints[:20])])
     for base, words in ((0, "20 of 30 joints"), (6, "20 of 24 joints"), (10, "all 20 joints")):
         units = Units(joints, base=frozenset(joints[30 - base :]))
-        assert steps_table(found, units).rows[-1][2].text.startswith(f"{words}\n")
+        assert steps_table(found, units).rows[-1][1].text == words
     assert [row[0].text for row in parameters_table(found.steps[0], units).rows] == list(
         joints[:20]
     )
@@ -261,8 +267,8 @@ def test_where_no_noise_is_seen_nothing_is_called_removable():
     html = page(found)
     assert "the logs show none" in html
     assert "100\N{NO-BREAK SPACE}%" not in html
-    assert "could remove" not in html
-    *_, noise, _, nrms, removable = errors_table({"RMS": found.errors}, Units()).rows[0]
+    assert "the logs show no noise" in html
+    *_, nrms, noise, removable = errors_table({"RMS": found.errors}, Units()).rows[0]
     assert (noise.text, removable) == ("–", Cell("–"))
     assert nrms.text != "–"
     written = numbers_of(found)
@@ -274,38 +280,45 @@ def test_an_added_effect_that_makes_things_worse_is_said_to():
     useless = step("joint_spring", joints, {}, {}, error_before=0.565, error_after=0.569)
     added = explanation(joints, (useless,))
     added = dataclasses.replace(added, end=errors(joints, 1.01))
-    sentence = page_of(Explained.of(added, added=True)).sentence
-    assert "Joint spring did not lower it (nrms 0.565 -> 0.569)." in sentence
-    assert "Added: joint spring (all 3 joints)." in sentence
+    answer = page_of(Explained.of(added, added=True)).answer
+    assert answer["No help"] == "joint spring (nrms 0.565 → 0.569)"
+    assert answer["Added"] == "joint spring (all 3 joints)"
     text = page(added)
-    assert "none of the squared error removed" in text
-    assert "explained in part" not in text
+    assert "explained none of the squared error" in " ".join(Reader(text).text)
+    assert "xplained in part" not in text
 
 
 def test_the_worst_joint_is_named_where_it_errs_throughout():
     """The first of five joints fails at some speeds, and the last errs most."""
     one = comparison(joint_names(5), 1.0)
     even = dataclasses.replace(one, errors=errors(joint_names(5)[::-1], 1.0))
-    first, second = failing_list(even)
-    assert first == "joint_4: the largest nrms of all joints (0.200), throughout."
-    assert second.startswith("joint_0: largest at speeds below")
-    assert first in check_self_contained(page(even))
+    first, second = ([cell.text for cell in row] for row in failing_table("", even).rows)
+    assert first[:2] == ["joint_4", "throughout: nrms 0.200"]
+    assert second[0] == "joint_0" and second[1].startswith("at speeds below")
+    assert "throughout: nrms 0.200" in check_self_contained(page(even))
 
 
 def test_where_a_joint_fails_has_its_unit_and_three_digits():
-    case = Failing("slide", "at speeds below 0.05 m/s", 1.67, 1.0, 0.6, 0.2, "N")
-    assert "RMS 1.67 N there and 1.00 elsewhere" in failing_words(case)
-    assert "RMS 167 N·m there" in failing_words(dataclasses.replace(case, rms=167.0, unit="N·m"))
+    for rms, unit, words in ((1.67, "N", "1.67 N"), (167.0, "N·m", "167 N·m")):
+        case = Failing("slide", "at speeds below 0.05 m/s", rms, 1.0, 0.6, 0.2, unit)
+        found = dataclasses.replace(comparison(("slide",), 1.0), failing=(case,))
+        ((_, where, there, elsewhere, *shares),) = failing_table("", found).rows
+        assert (where.text, there.text, elsewhere.text) == (
+            case.circumstance,
+            words,
+            f"1.00 {unit}",
+        )
+        assert [cell.text for cell in shares] == ["60 %", "20 %"]
 
 
 def test_what_is_left_is_told_by_its_size():
     joints = joint_names(2)
-    for share, mark in ((0.02, "explained to practical noise"), (0.5, "explained in part")):
+    for share, mark in ((0.02, "Explained to practical noise: "), (0.5, "Explained in part: ")):
         found = dataclasses.replace(explanation(joints), end=errors(joints, share))
-        assert page_of(found).mark == mark
-    for share, words in ((0.3, "predict 30 % at joint_0"), (0.01, "predict less than 5.0 % of it")):
+        assert page_of(found).headline.startswith(mark)
+    for share, words in ((0.3, "positions and velocities: 30 % at joint_0"), (0.01, "neither")):
         told = dataclasses.replace(explanation(joints), of_motion={"joint_0": share})
-        assert words in page_of(told).sentence
+        assert page_of(told).answer["Depends on"].startswith(words)
 
 
 def test_links_lead_to_pages_and_run_nothing():

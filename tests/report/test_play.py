@@ -187,7 +187,7 @@ def test_the_command_plays_a_saved_model_beside_its_file(tmp_path, after):
     save_model(after, saved)
     said = told("play", saved, LOG, "--out", out, "--seconds", 2, "--json", numbers)
     assert "Saved the page that plays the logs: " in said
-    assert "before, nrms 0.8" in said and ": error " in said
+    assert "Before: nrms 0.8" in said and ": error " in said
     found = json.loads(numbers.read_text())
     assert [m["title"] for m in found["models"]] == ["before", "after"]
     first = found["models"][0]["worst_moments"][0]
