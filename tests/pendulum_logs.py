@@ -15,23 +15,25 @@ JOINTS = ("shoulder", "elbow")
 NOISE = np.array([0.03, 0.015])  # deviation of the effort's noise, N·m
 
 
-@cache
-def pendulum_plant():
-    """Drake's own reading of the model file, welded to the world."""
+def welded_plant(path=PENDULUM, base="base_link"):
+    """Return Drake's own reading of a model file, welded to the world."""
     plant = MultibodyPlant(0.0)
-    Parser(plant).AddModels(str(PENDULUM))
-    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
+    Parser(plant).AddModels(str(path))
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(base))
     plant.Finalize()
     return plant
 
 
+pendulum_plant = cache(welded_plant)
+
+
 def body_effort(q, v, vd):
-    """Inverse dynamics (N, 2) of the pendulum."""
+    """Return the inverse dynamics (N, 2) of the pendulum."""
     return inverse_dynamics(pendulum_plant(), q, v, vd)
 
 
 def pendulum_log(seed, hidden=None, *, seconds=40.0, noise=NOISE, **options):
-    """A log of the pendulum: see `logged`; `noise` is the deviation (2,) of its efforts', N·m."""
+    """Return a log of the pendulum (see `logged`); `noise` is the deviation (2,) of efforts."""
     deviation = np.asarray(noise)
     return logged(
         body_effort, JOINTS, seed, hidden, lambda _: deviation, seconds=seconds, **options
@@ -39,12 +41,12 @@ def pendulum_log(seed, hidden=None, *, seconds=40.0, noise=NOISE, **options):
 
 
 def friction(coulomb, viscous=(0.0, 0.0)):
-    """Dry and viscous friction (N·m, N·m·s/rad) of both joints, as a hidden effort."""
+    """Return dry and viscous friction (N·m, N·m·s/rad) of both joints as a hidden effort."""
     return lambda q, v, vd, load: np.array(coulomb) * np.sign(v) + np.array(viscous) * v
 
 
 def sines(seconds=20.0, seed=3, size=0.4, period=0.01):
-    """(N,) time and the motion of both joints, each a sum of three sines."""
+    """Return time (N,) and the motion of both joints, each a sum of three sines."""
     time = np.arange(0.0, seconds, period)
     rates = 2 * np.pi * np.array([[0.31, 0.73, 1.13], [0.42, 0.59, 0.97]])
     phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, rates.shape)
@@ -53,8 +55,8 @@ def sines(seconds=20.0, seed=3, size=0.4, period=0.01):
     return time, Motion(*(np.asarray(size) * np.sum(part, axis=-1) for part in parts))
 
 
-def sine_log(model, path="log", *, coulomb=(0.3, 0.2), noise=0.02, **motion):
-    """A log of a model of the pendulum with dry and viscous friction on the motion of `sines`."""
+def sine_log(model, *, coulomb=(0.3, 0.2), noise=0.02, **motion):
+    """Return a log of the pendulum with dry and viscous friction on the motion of `sines`."""
     time, moved = sines(**motion)
     effort = model.effort(moved) + np.sign(moved.v) * coulomb + 0.1 * moved.v
     effort += noise * np.random.default_rng(100).normal(size=effort.shape)

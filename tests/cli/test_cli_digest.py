@@ -16,6 +16,7 @@ from geodrake.logs import write_log
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
     here = tmp_path_factory.mktemp("logs")
+    shutil.copy(PENDULUM, here / "robot.urdf")
     for seed in (1, 2):
         write_log(pendulum_log(seed, seconds=10.0), here / f"log_{seed}.csv")
     return here
@@ -24,7 +25,6 @@ def logs(tmp_path_factory):
 @pytest.fixture(autouse=True)
 def folder(logs, working_folder):
     shutil.copytree(logs, working_folder, dirs_exist_ok=True)
-    shutil.copy(PENDULUM, working_folder / "robot.urdf")
 
 
 def words_of(words):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from commands import refused, run, told
 from pendulum_logs import PENDULUM as MODEL
-from pendulum_logs import sines
+from pendulum_logs import sines, with_gripper
 
 from geodrake.control.export_proof import export as proof
 from geodrake.effects import (
@@ -30,16 +30,17 @@ PERIOD, DELAY = 0.01, 0.02
 def truth():
     model = load_model(MODEL)
     a, b = model.joints
-    effects = (
-        FittedEffect(ViscousFriction(a), np.array([0.1])),
-        FittedEffect(CoulombFriction(a), np.array([0.3])),
-        FittedEffect(CoulombFriction(b), np.array([0.2])),
-        FittedEffect(RotorInertia(b), np.array([0.01])),
-        FittedEffect(StribeckFriction(a, 0.3), np.array([0.2])),
-        FittedEffect(LoadDependentFriction(b), np.array([0.15])),
-        FittedEffect(EffortDelay(DELAY), np.zeros(0)),
-    )
-    return replace(model, effects=effects)
+    values = {
+        ViscousFriction(a): 0.1,
+        CoulombFriction(a): 0.3,
+        CoulombFriction(b): 0.2,
+        RotorInertia(b): 0.01,
+        StribeckFriction(a, 0.3): 0.2,
+        LoadDependentFriction(b): 0.15,
+    }
+    effects = [FittedEffect(effect, np.array([value])) for effect, value in values.items()]
+    delay = FittedEffect(EffortDelay(DELAY), np.zeros(0))
+    return replace(model, effects=(*effects, delay))
 
 
 @pytest.fixture(scope="module")
@@ -91,8 +92,7 @@ def test_each_effect_that_is_lacking_has_its_price(in_urdf):
     assert error["nrms"] < 0.01 < min(lacks["effort_delay"]["nrms"], error["held_nrms"])
     assert error["nrms"] < lacks["load_dependent_friction"]["nrms"] < error["held_nrms"]
     assert error["simulated_nrms"] > error["held_nrms"]
-    for name in lacks:
-        assert name in printed
+    assert all(name in printed for name in lacks)
     assert "Ignored: coulomb_friction by Drake" in printed
 
 
@@ -152,15 +152,7 @@ def test_a_file_that_is_there_stays(tmp_path):
 
 
 def test_a_robot_with_a_joint_that_follows(tmp_path):
-    link = """<link name="{0}"><inertial><mass value="1"/><origin xyz="0.1 0 0"/>
-    <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
-    joint = """<joint name="{0}" type="revolute"><parent link="base"/><child link="{1}"/>
-    <axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="9" velocity="9"/>
-    <dynamics damping="0.2"/>{2}</joint>"""
-    parts = (link.format("one"), link.format("two"), joint.format("a", "one", ""))
-    follows = joint.format("b", "two", '<mimic joint="a"/>')
-    path = tmp_path / "gripper.urdf"
-    path.write_text(f'<robot name="g"><link name="base"/>{"".join(parts)}{follows}</robot>')
+    path = with_gripper(tmp_path / "gripper.urdf")
     for to, count in (("urdf", 2), ("mjcf", 1), ("sdf", 1)):
         _, numbers = export(path, "--to", to, tmp_path / to)
         found = numbers["differences"]

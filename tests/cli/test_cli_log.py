@@ -5,13 +5,25 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import foreign_logs
 import numpy as np
+import pandas
 import pytest
 from commands import refused, run, told
-from foreign_logs import joint_states, lcm_log, lerobot, ros1_bag, ros2_store, write_rosbag2
+from foreign_logs import (
+    joint_states,
+    lcm_log,
+    lerobot,
+    mat_v7,
+    mat_v73,
+    pandas_parquet,
+    ros1_bag,
+    ros2_store,
+    rosbag2_sqlite3,
+    write_rosbag2,
+)
 from pendulum_logs import PENDULUM, body_effort
 from PIL import Image
+from scipy.io import savemat
 
 from geodrake.cli.input_options import ReadingOptions
 from geodrake.cli.options import AddOptions
@@ -23,26 +35,28 @@ OWN = "time,shoulder.position,elbow.position,shoulder.effort,elbow.effort"
 
 def table(seconds=24.0, rate=100.0):
     """Return (N, 5) time, positions and efforts of the pendulum, which rests for 2 s."""
-    time = np.arange(round(seconds * rate)) / rate
-    rates = np.array([1.3, 2.1])
+    time, rates = np.arange(round(seconds * rate)) / rate, np.array([1.3, 2.1])
     angle = np.maximum(time - 2.0, 0.0)[:, None] * rates
-    moving = (time > 2.0)[:, None]
     q, v = 0.5 - 0.5 * np.cos(angle), 0.5 * rates * np.sin(angle)
-    effort = body_effort(q, v, 0.5 * rates**2 * np.cos(angle) * moving)
+    effort = body_effort(q, v, 0.5 * rates**2 * np.cos(angle) * (time > 2.0)[:, None])
     noise = np.random.default_rng(0).standard_normal((len(time), 2))
     return np.column_stack([time, q, effort + 0.01 * noise])
 
 
 def write(path, header, rows, separator=","):
-    lines = [separator.join(map(repr, row)) for row in rows.tolist()]
-    path.write_text("\n".join([separator.join(header.split(",")), *lines]) + "\n")
+    names = header.split(",")
+    pandas.DataFrame(rows, columns=names).to_csv(path, index=False, sep=separator)
     return path
 
 
-def nrms(*arguments):
-    result = run("compare", PENDULUM, *arguments, "--bandwidth", "5", "--json", "-")
+def numbers_of(*arguments):
+    result = run(*arguments, "--json", "-")
     assert result.exit_code == 0, result.output
-    return json.loads(result.stdout)["error"]["nrms"]
+    return json.loads(result.stdout)
+
+
+def nrms(*arguments):
+    return numbers_of("compare", PENDULUM, *arguments, "--bandwidth", "5")["error"]["nrms"]
 
 
 def shown(log):
@@ -55,8 +69,7 @@ def shown(log):
 
 
 def test_what_is_understood(tmp_path):
-    rows = table()
-    rows = np.delete(rows, slice(1000, 1100), axis=0)
+    rows = np.delete(table(), slice(1000, 1100), axis=0)
     rows[300, 1] = 1e7
     rows[:, 1:3] = np.rad2deg(rows[:, 1:3])
     output, found, again = shown(write(tmp_path / "log.csv", "t,q1_deg,q2_deg,tau1,tau2", rows))
@@ -101,8 +114,7 @@ def test_currents_and_commands_are_shown_and_converted(tmp_path):
 
 
 def test_gains_with_deviations_count_beside_what_is_said_of_all(tmp_path):
-    rows = table()
-    log = write(tmp_path / "log.csv", "t,q1,q2,i1,i2", rows)
+    log = write(tmp_path / "log.csv", "t,q1,q2,i1,i2", table())
     reading = ReadingOptions(gain=["shoulder=2±0.2", "elbow=4"]).reading
     reading = replace(reading, usual_deviation=0.01)
     read = read_log(log, joints=("shoulder", "elbow"), reading=reading)
@@ -124,9 +136,8 @@ def test_commands_and_currents_that_say_nothing(tmp_path):
 
 def test_joints_of_the_model_that_the_log_lacks(tmp_path):
     log = write(tmp_path / "log.csv", "t,q1,tau1", table(seconds=1.0)[:, [0, 1, 3]])
-    (tmp_path / "two.urdf").write_text(
-        PENDULUM.read_text().replace('"shoulder"', '"arm_1"').replace('"elbow"', '"arm_2"')
-    )
+    text = PENDULUM.read_text().replace('"shoulder"', '"arm_1"').replace('"elbow"', '"arm_2"')
+    (tmp_path / "two.urdf").write_text(text)
     output = told("log", log, "--model", tmp_path / "two.urdf")
     assert "arm_1" in output
     assert "the model's arm_2 have no measurements" in output
@@ -134,16 +145,14 @@ def test_joints_of_the_model_that_the_log_lacks(tmp_path):
 
 def test_other_names_give_the_same_numbers(tmp_path):
     rows = table()
-    own = write(tmp_path / "own.csv", OWN, rows)
+    expected = nrms(write(tmp_path / "own.csv", OWN, rows))
     theirs = write(tmp_path / "theirs.csv", "timestamp,q_0,q_1,tau_0,tau_1", rows, " ")
-    scaled = rows * np.array([1e3, 180 / np.pi, 180 / np.pi, 0.5, 0.25])
-    bare = tmp_path / "bare.csv"
-    np.savetxt(bare, scaled, delimiter=";")
-    expected = nrms(own)
     assert nrms(theirs) == pytest.approx(expected, rel=1e-9)
+    scaled = rows * np.array([1e3, 180 / np.pi, 180 / np.pi, 0.5, 0.25])
+    np.savetxt(tmp_path / "bare.csv", scaled, delimiter=";")
     options = ["--columns", "t,q1,q2,i1,i2", "--units", "time=ms,position=deg,effort=A"]
     gains = ["--gain", "shoulder=2", "--gain", "elbow=4"]
-    assert nrms(bare, *options, *gains) == pytest.approx(expected, rel=1e-6)
+    assert nrms("bare.csv", *options, *gains) == pytest.approx(expected, rel=1e-6)
 
 
 def test_a_failed_reading_proposes_a_mapping(tmp_path):
@@ -176,17 +185,14 @@ def test_one_axis_without_a_model(tmp_path):
     time = np.arange(4000) / 200.0
     q, v, vd = (f(1.7 * time + np.pi / 2 * k) * 1.7**k for k, f in enumerate([np.sin] * 3))
     force = 90.0 * vd + 20.0 * np.tanh(100 * v) + 0.1 * np.random.default_rng(0).normal(size=4000)
-    np.savetxt(tmp_path / "q.csv", q)
-    np.savetxt(tmp_path / "force.csv", force)
-    log, model = f"{tmp_path / 'q.csv'}+{tmp_path / 'force.csv'}", tmp_path / "axis.urdf"
-    given = [log, "--rate", "200", "--axis", "prismatic", "--mass", "70"]
-    result = run("identify", model, *given, "--effects", "coulomb_friction", "--json", "-")
-    assert result.exit_code == 0, result.output
-    assert json.loads(result.stdout)["bodies"]["moving"]["mass"] == pytest.approx(90.0, rel=0.02)
-    assert "exists. Name a new file" in refused("identify", model, *given)
-    other = tmp_path / "other.urdf"
-    assert "too short" in refused("compare", other, *given, "--bandwidth", "0.02")
-    assert not other.exists()
+    np.savetxt("q.csv", q)
+    np.savetxt("force.csv", force)
+    given = ["q.csv+force.csv", "--rate", "200", "--axis", "prismatic", "--mass", "70"]
+    found = numbers_of("identify", "axis.urdf", *given, "--effects", "coulomb_friction")
+    assert found["bodies"]["moving"]["mass"] == pytest.approx(90.0, rel=0.02)
+    assert "exists. Name a new file" in refused("identify", "axis.urdf", *given)
+    assert "too short" in refused("compare", "other.urdf", *given, "--bandwidth", "0.02")
+    assert not Path("other.urdf").exists()
 
 
 def test_what_chooses_nothing_is_noted_and_models_are_read_as_everywhere(tmp_path):
@@ -202,37 +208,27 @@ def test_a_mapping_is_written_that_corrects_the_columns(tmp_path):
     right = table()
     wrong = right * [1e3, *[180.0 / np.pi] * 2, -1.0, 1.0]
     log = write(tmp_path / "my log.csv", "stamp [ms],q1 (deg),q2 (deg),tau1,tau2", wrong)
-    mapping = tmp_path / "fixed.yaml"
-    said = told("log", log, "--model", PENDULUM, "--write-mapping", mapping)
-    assert f" geodrake explain {PENDULUM} '{log}' --mapping {mapping}" in said
-    read = read_log(log, reading=Reading(mapping=read_mapping(mapping)))
+    said = told("log", log, "--model", PENDULUM, "--write-mapping", "fixed.yaml")
+    assert f" geodrake explain {PENDULUM} '{log}' --mapping fixed.yaml" in said
+    read = read_log(log, reading=Reading(mapping=read_mapping(Path("fixed.yaml"))))
     assert read.joints == ("shoulder", "elbow")
-    np.testing.assert_allclose(
-        np.column_stack([read.time, read.position, read.effort]), right, atol=1e-9
-    )
+    found = np.column_stack([read.time, read.position, read.effort])
+    np.testing.assert_allclose(found, right, atol=1e-9)
 
 
-def test_no_mapping_is_written_of_what_a_mapping_cannot_say(tmp_path):
+def test_no_mapping_is_written_of_what_a_mapping_cannot_say():
     rows = [f"{k / 100},{j},{np.sin(k / 9)},{k}" for k in range(60) for j in ("shoulder", "elbow")]
-    log = tmp_path / "long.csv"
-    log.write_text("time,joint,position,effort\n" + "\n".join(rows))
-    target = tmp_path / "m.yaml"
-    assert "A mapping cannot express how log 'long.csv' was read" in refused(
-        "log", log, "--write-mapping", target
-    )
-    assert not target.exists()
+    Path("long.csv").write_text("time,joint,position,effort\n" + "\n".join(rows))
+    said = refused("log", "long.csv", "--write-mapping", "m.yaml")
+    assert "A mapping cannot express how log 'long.csv' was read" in said
+    assert not Path("m.yaml").exists()
 
 
 def test_a_written_mapping_keeps_the_deviation_of_a_gain_and_standing_joints(tmp_path):
-    numbers = table()
-    log = write(
-        tmp_path / "log.csv",
-        "time,shoulder.position,elbow.position,elbow.current",
-        numbers[:, [0, 1, 2, 4]],
-    )
-    mapping = tmp_path / "m.yaml"
-    told("log", log, "--gain", "elbow=2±0.5", "--write-mapping", mapping)
-    read = read_log(log, reading=Reading(mapping=read_mapping(mapping)), partial=True)
+    numbers, names = table(), "time,shoulder.position,elbow.position,elbow.current"
+    log = write(tmp_path / "log.csv", names, numbers[:, [0, 1, 2, 4]])
+    told("log", log, "--gain", "elbow=2±0.5", "--write-mapping", "m.yaml")
+    read = read_log(log, reading=Reading(mapping=read_mapping(Path("m.yaml"))), partial=True)
     np.testing.assert_allclose(read.effort[:, 0], 2.0 * numbers[:, 4])
     assert 0.0 < read.gain_deviations[0] < np.inf
     assert list(read.standing) == ["shoulder"]
@@ -240,8 +236,7 @@ def test_a_written_mapping_keeps_the_deviation_of_a_gain_and_standing_joints(tmp
 
 def test_logs_that_cannot_be_used_are_left_out_and_named(tmp_path):
     good = write(tmp_path / "good.csv", OWN, table())
-    scrap = table()[300:340]
-    scrap[:, 1] += 1e-6
+    scrap = np.add(table()[300:340], [0.0, 1e-6, 0.0, 0.0, 0.0])
     short = write(tmp_path / "short.csv", OWN, scrap)
     bad = tmp_path / "bad.csv"
     bad.write_text("time,shoulder.position\n0,x\n")
@@ -294,7 +289,7 @@ def cut_mcap(folder):
 
 
 def cut_sqlite(folder):
-    path = foreign_logs.rosbag2_sqlite3(folder, small_log(400))
+    path = rosbag2_sqlite3(folder, small_log(400))
     cut(only_file(path, ".db3"))
     return path
 
@@ -306,11 +301,6 @@ def garbage(name):
         return path
 
     return write
-
-
-def empty_folder(folder):
-    (folder / "recording").mkdir()
-    return folder / "recording"
 
 
 def uneven(folder):
@@ -331,9 +321,12 @@ def bad_info(folder):
     return path
 
 
-def text_in_mat(folder):
-    from scipy.io import savemat
+def empty_folder(folder):
+    (folder / "recording").mkdir()
+    return folder / "recording"
 
+
+def text_in_mat(folder):
     savemat(folder / "text.mat", {"comment": "no numbers"})
     return folder / "text.mat"
 
@@ -347,16 +340,10 @@ BAD = {
     "cut MCAP": (cut_mcap, "mcap recover"),
     "cut SQLite": (cut_sqlite, "not a readable ROS bag"),
     "cut ROS 1": (lambda f: cut(ros1_bag(f, small_log(400))), "rosbag reindex"),
-    "cut Parquet": (
-        lambda f: cut(foreign_logs.pandas_parquet(f, small_log())),
-        "not a readable Parquet file",
-    ),
+    "cut Parquet": (lambda f: cut(pandas_parquet(f, small_log())), "not a readable Parquet file"),
     "cut LCM": (lambda f: cut(lcm_log(f, small_log(20)), 0.01), "has no messages"),
-    "cut MATLAB": (
-        lambda f: cut(foreign_logs.mat_v7(f, small_log(400))),
-        "not a readable MATLAB file",
-    ),
-    "cut HDF5": (lambda f: cut(foreign_logs.mat_v73(f, small_log())), "not a readable MATLAB file"),
+    "cut MATLAB": (lambda f: cut(mat_v7(f, small_log(400))), "not a readable MATLAB file"),
+    "cut HDF5": (lambda f: cut(mat_v73(f, small_log())), "not a readable MATLAB file"),
     "no MCAP": (garbage("log.mcap"), "not a readable ROS bag"),
     "no Feather": (garbage("log.feather"), "not a readable Feather file"),
     "not an LCM": (garbage("log.lcm"), "not an LCM log"),

@@ -9,6 +9,7 @@ import time
 from dataclasses import replace
 from html import escape
 from itertools import product
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -34,20 +35,20 @@ WAITING = re.compile(r".* \(\d+ s\)")  # said on a busy machine
 
 
 def test_lines_in_a_pipe_are_plain_or_none(capsys):
-    with progress("Reading a file") as shown:
-        shown("Searching", 0.5)
-        shown.history("1  payload on \x1b[31mflange: nrms 0.1")
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith("1  payload on ") and err.endswith("flange: nrms 0.1\n")
-    assert not any(ord(letter) < 32 for letter in err.rstrip("\n"))
-    with progress("Reading a file", quiet=True) as shown:
-        shown("Searching", 0.5)
-        shown.history("1  payload")
-    assert capsys.readouterr() == ("", "")
+    for quiet in (False, True):
+        with progress("Reading a file", quiet=quiet) as shown:
+            shown("Searching", 0.5)
+            shown.history("1  payload on \x1b[31mflange: nrms 0.1")
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert bool(err) != quiet
+        if err:
+            assert err.startswith("1  payload on ")
+            assert err.endswith("flange: nrms 0.1\n")
+            assert not any(ord(letter) < 32 for letter in err.rstrip("\n"))
 
 
-def test_share_and_time_left_are_told_where_nothing_was_said_for_long(capsys, monkeypatch):
+def test_share_and_time_left_are_told_where_nothing_was_said_for_long(capsys):
     with progress("Reading a file") as shown:
         shown.begin -= 10.0
         shown.printed -= 10.0
@@ -74,10 +75,7 @@ def pendulum(tmp_path_factory):
 
 
 def test_an_interrupt_before_the_first_step_leaves_no_result(monkeypatch, pendulum):
-    def stopped(*_, **__):
-        raise StopSearch
-
-    monkeypatch.setattr("geodrake.diagnosis.search.climb", stopped)
+    monkeypatch.setattr("geodrake.diagnosis.search.climb", Mock(side_effect=StopSearch))
     model, log = pendulum
     with pytest.raises(StopSearch):
         explain(load_model(model), [log])
@@ -155,17 +153,11 @@ def test_terminal_and_page_say_the_same(model, added, compared):
 
 
 def test_degrees_are_named_where_a_log_is_too_short(model):
-    log = read_log(LOG)
-    part = slice(0, 120)
-    degrees = replace(
-        log,
-        time=log.time[part],
-        position=np.rad2deg(log.position[part]) + 90.0,
-        effort=log.effort[part],
-        velocity=None,
-    )
+    log, part = read_log(LOG), slice(0, 120)
+    position = np.rad2deg(log.position[part]) + 90.0
+    signals = {"time": log.time[part], "position": position, "effort": log.effort[part]}
     with pytest.raises(LogError, match=r"too short.* Positions seem to be in degrees"):
-        compare(model, degrees, bandwidth=2.0)
+        compare(model, replace(log, **signals, velocity=None), bandwidth=2.0)
 
 
 @pytest.mark.parametrize("name", get_command(app).commands)

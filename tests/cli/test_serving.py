@@ -3,6 +3,7 @@
 import http.client
 import socket
 import threading
+from contextlib import contextmanager
 
 import pytest
 
@@ -15,11 +16,9 @@ from geodrake.errors import OutputError
 def server():
     served = page_server(0)
     served.page = b"<html>the page</html>"
-    thread = threading.Thread(target=served.serve_forever, kwargs={"poll_interval": 0.02})
-    thread.start()
-    yield served
-    served.shutdown()
-    thread.join()
+    with thread_of(served.serve_forever, poll_interval=0.02):
+        yield served
+        served.shutdown()
     served.server_close()
 
 
@@ -38,15 +37,22 @@ def connected(server):
     return socket.create_connection(("127.0.0.1", port_of(server)), timeout=10)
 
 
+@contextmanager
+def thread_of(target, *args, **kwargs):
+    """Run a function in a thread that ends with the block."""
+    thread = threading.Thread(target=target, args=args, kwargs=kwargs)
+    thread.start()
+    yield
+    thread.join()
+
+
 def test_a_page_is_served_on_a_port_of_its_own(capfd):
     server = page_server(0)
     with pytest.raises(OutputError, match=f"Port {port_of(server)} cannot be used"):
         page_server(port_of(server))
-    thread = threading.Thread(target=serve_page, args=(server, "<p>played ✓</p>"))
-    thread.start()
-    assert asked(server)[1].decode() == "<p>played ✓</p>"
-    server.shutdown()
-    thread.join()
+    with thread_of(serve_page, server, "<p>played ✓</p>"):
+        assert asked(server)[1].decode() == "<p>played ✓</p>"
+        server.shutdown()
     server.server_close()
     assert f"Playing at http://localhost:{port_of(server)}/" in capfd.readouterr().err
 

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 from commands import told
 from meshcat_pages import drawn, tracks
-from pendulum_logs import PENDULUM
-from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import MultibodyPlant
+from pendulum_logs import PENDULUM, pendulum_log, welded_plant
 from report_results import JOINT, LOG, URDF
 
 from geodrake import load_model, save_model
@@ -19,7 +17,7 @@ from geodrake.control.rollout import Rollout
 from geodrake.control.rollout.roll_out import Window
 from geodrake.diagnosis import compare
 from geodrake.errors import ArgumentError
-from geodrake.logs import JointLog, read_log
+from geodrake.logs import read_log
 from geodrake.report.meshcat_scene import play_page, rollout_replay_page
 from geodrake.report.playback import play_back
 from geodrake.report.robot_scene import COLORS, FRAMES, UNKNOWN, levels
@@ -42,11 +40,8 @@ def page(short):
 
 
 def test_links_go_where_the_log_says(short, page):
-    plant = MultibodyPlant(0.0)
-    Parser(plant).AddModels(str(URDF))
-    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
-    plant.Finalize()
-    context, log = plant.CreateDefaultContext(), read_log(LOG)
+    plant, log = welded_plant(URDF), read_log(LOG)
+    context = plant.CreateDefaultContext()
     (excerpt,) = short.excerpts
     found = tracks(page)
     for k, title in enumerate(("before", "after")):
@@ -101,16 +96,13 @@ def test_arrows_have_the_lengths_and_directions_of_the_efforts(short, page):
 def test_colours_are_the_errors(playback, before, after):
     assert [played.title for played in playback.models] == ["before", "after"]
     for played, model in zip(playback.models, (before, after), strict=True):
-        compared = compare(model, [LOG])
-        np.testing.assert_allclose(
-            played.comparison.errors.nrms, compared.errors.nrms, rtol=0.3
-        )  # a bandwidth of its own
+        nrms = compare(model, [LOG]).errors.nrms  # at another bandwidth
+        assert played.comparison.errors.nrms == pytest.approx(nrms, rel=0.3)
     played, (excerpt,) = playback.models[0], playback.excerpts
     colors, j = levels(played.relative, playback.top), playback.joints.index(JOINT)
     std = played.comparison.errors.joints[j].std
     own = [s for s in played.comparison.series if s.joint == JOINT]
-    time = np.concatenate([s.time for s in own])
-    residual = np.concatenate([s.residual for s in own])
+    time, residual = (np.concatenate([getattr(s, n) for s in own]) for n in ("time", "residual"))
     assert (colors[:, j] != UNKNOWN).mean() > 0.9
     for frame in range(30, len(excerpt.time) - 30, 50):
         near = np.abs(time - excerpt.time[frame]) <= 0.15
@@ -263,17 +255,11 @@ def test_a_browser_opens_it_and_jumps(browser, tmp_path, page, short):
 
 
 def test_names_that_mean_harm_stay_words(tmp_path):
-    name = "</script><b>`${1}\u2028"
-    text = PENDULUM.read_text()
-    joint = re.search(r'<joint name="([^"]+)"', text)[1]
-    escaped = name.replace("<", "&lt;")
-    (tmp_path / "r.urdf").write_text(text.replace(f'"{joint}"', f'"{escaped}"'))
-    model = load_model(tmp_path / "r.urdf")
-    time = np.arange(0.0, 20.0, 0.01)
-    q = np.stack([np.sin(2 * time), np.cos(3.1 * time)], -1)
-    noise = np.random.default_rng(0).normal(size=q.shape)
-    log = JointLog(name, model.joints, time, q, 3 * q + 0.1 * noise)
-    found = play_back(model, [log], seconds=1.0, bandwidth=5.0)
+    name, joint = "</script><b>`${1}\u2028", "shoulder"
+    text = PENDULUM.read_text().replace(f'"{joint}"', f'"{name.replace("<", "&lt;")}"')
+    (tmp_path / "r.urdf").write_text(text)
+    log = replace(pendulum_log(1, seconds=20.0), name=name, joints=(name, "elbow"))
+    found = play_back(load_model(tmp_path / "r.urdf"), [log], seconds=1.0, bandwidth=5.0)
     page = page_of(found, name, name)
     assert "<b>`" not in page and "\u2028" not in page
     (data,) = re.findall(r"const data = (\{.*\});\n", page)

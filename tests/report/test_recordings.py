@@ -6,6 +6,7 @@ import sys
 from base64 import b64decode
 from dataclasses import replace
 from io import BytesIO
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -61,13 +62,10 @@ class TestSticks:
 
     def test_shapes_that_are_there_stay(self):
         model = load_model(URDF)
-        (link,) = [
-            p
-            for p in posed_links(model, np.zeros((1, 6)), drawn_shapes(model))
-            if p.name.endswith("flange")
-        ]
-        assert link.joint == model.joints.index("wrist_spin")
-        assert not drawn_shapes(model).notes
+        shapes = drawn_shapes(model)
+        links = {p.name.split("::")[-1]: p for p in posed_links(model, np.zeros((1, 6)), shapes)}
+        assert links["flange"].joint == model.joints.index("wrist_spin")
+        assert not shapes.notes
 
 
 @pytest.mark.parametrize(
@@ -181,15 +179,10 @@ def test_a_missing_package_is_named_before_the_work(monkeypatch, module, options
     assert 'pip install "geodrake[viewers]"' in refused("play", URDF, LOG, *options)
 
 
-@pytest.mark.parametrize("program", [None, "/bin/false"])
+@pytest.mark.parametrize("program", [RuntimeError("No ffmpeg exe could be found."), "/bin/false"])
 def test_no_ffmpeg_that_runs_is_one_line(monkeypatch, program):
     pytest.importorskip("imageio_ffmpeg")
-
-    def found():
-        if program is None:
-            raise RuntimeError("No ffmpeg exe could be found.")
-        return program
-
+    found = Mock(side_effect=[program] * 9)
     monkeypatch.setattr("imageio_ffmpeg._utils.get_ffmpeg_exe", found)
     said = refused("play", URDF, LOG, "--video", "p.mp4")
     assert "No working ffmpeg" in said and "FILE.gif" in said
@@ -203,19 +196,19 @@ def test_the_command_writes_what_is_asked_for_and_no_page(tmp_path, monkeypatch)
     assert [path.name for path in tmp_path.iterdir()] == ["p.mcap"]
 
 
+def pixels(data):
+    return np.asarray(Image.open(BytesIO(data)).convert("RGBA"), int)
+
+
 def test_pages_show_the_robot_before_and_after():
     model = load_model(URDF)
     first, last = (comparison(model.joints, share) for share in (1.0, 0.1))
     pictures = error_pictures(model, {"as it stands": first, "now": last})
     html = render(replace(page_of(first), pictures=pictures))
     shown = re.findall(r'<img src="data:image/png;base64,([^"]+)" alt="([^"]+)">', html)
-    assert [words.partition(" nrms")[0] for _, words in shown] == [
-        "The robot, as it stands,",
-        "The robot, now,",
-    ]
-    before, after = (
-        np.asarray(Image.open(BytesIO(b64decode(data))).convert("RGBA"), int) for data, _ in shown
-    )
+    titles = [words.partition(" nrms")[0] for _, words in shown]
+    assert titles == ["The robot, as it stands,", "The robot, now,"]
+    before, after = (pixels(b64decode(data)) for data, _ in shown)
     assert before.shape == after.shape and before[..., 3].any((0, 1))
     red = [(p[..., 0] > 1.5 * p[..., 2])[p[..., 3] > 200].mean() for p in (before, after)]
     assert red[0] > 0.5 and red[1] < 0.1
@@ -230,11 +223,7 @@ def test_a_robot_in_no_posture_of_a_log_has_no_picture(tmp_path):
 
 def test_a_free_base_is_drawn_with_its_root_in_the_colour_of_its_joints():
     model = load_model(PENDULUM, floating=True)
-    found = comparison(model.joints, 1.0)
-    pictures = error_pictures(model, {"": found})
-    image = np.asarray(
-        Image.open(BytesIO(next(iter(pictures.shown.values())))).convert("RGBA"), int
-    )
-    assert image[..., 3].any()
+    (data,) = error_pictures(model, {"": comparison(model.joints, 1.0)}).shown.values()
+    assert pixels(data)[..., 3].any()
     root = link_joints(model)
     assert {model.joints[j].rpartition("_")[2] for j in root.values()} >= {"roll"}
