@@ -8,7 +8,6 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import BSpline
 
 from geodrake.boundary.arguments import positive, real_array
 from geodrake.effects.base import (
@@ -202,7 +201,7 @@ class EffortDelay(Effect):
         del motion
         return {}
 
-    def delayed(self, signal: ArrayLike, period: float, *, spline: BSpline | None = None) -> Array:
+    def delayed(self, signal: ArrayLike, period: float) -> Array:
         """Return the signal delayed by δ, by quintic spline interpolation.
 
         Args:
@@ -221,8 +220,8 @@ class EffortDelay(Effect):
         if self.delay == 0 or len(signal) == 1:
             return signal.copy()
         samples = np.arange(len(signal), dtype=float)
-        spline = spline_through(signal) if spline is None else spline
-        return np.asarray(spline(np.clip(samples - self.delay / period, 0, samples[-1])))
+        at = np.clip(samples - self.delay / period, 0, samples[-1])
+        return np.asarray(spline_through(signal)(at))
 
 
 def delays_of(effects: Sequence[Effect], joints: Sequence[str]) -> Array:
@@ -243,12 +242,10 @@ def effort_delays(delays: ArrayLike, joints: Sequence[str]) -> list[EffortDelay]
     return [EffortDelay(delay, name) for delay, name in zip(seconds, joints, strict=True) if delay]
 
 
-def delayed_by(
-    delays: ArrayLike, signals: Array, period: float, *, spline: BSpline | None = None
-) -> Array:
+def delayed_by(delays: ArrayLike, signals: Array, period: float) -> Array:
     """Return signals (N, n) with a sampling period, delayed by (n,) s."""
     seconds = np.asarray(delays, float).tolist()
     if len(set(seconds)) == 1:
-        return EffortDelay(seconds[0]).delayed(signals, period, spline=spline)
+        return EffortDelay(seconds[0]).delayed(signals, period)
     pairs = zip(seconds, signals.T, strict=True)
     return np.stack([EffortDelay(delay).delayed(x, period) for delay, x in pairs], axis=1)

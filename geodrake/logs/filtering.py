@@ -19,6 +19,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
+from scipy.ndimage import spline_filter1d
 from scipy.special import gammaincinv
 
 from geodrake.boundary.arguments import Array
@@ -129,6 +130,7 @@ _FALL = 10.0  # of the power of positions: noise alone falls by less
 _LEAST_MARGIN, _LARGEST_MARGIN = 4.0, 10.0  # bandwidth relative to that of the velocity
 _WELCH_SECONDS = 20.0
 _LEAST_SAMPLES = 6  # for a quintic spline
+_QUINTIC = 5  # degree of a spline
 _SAME_INSTANT = 1e-4  # of the time between samples
 
 
@@ -271,6 +273,26 @@ def spline_through(signal: Array) -> BSpline:
     degree = min(5, len(signal) - 1)
     samples = np.arange(len(signal), dtype=float)
     return make_interp_spline(samples, signal, k=degree - (degree % 2 == 0), axis=0)
+
+
+def spline_coefficients(signal: Array) -> Array:
+    """Return coefficients (N, n) of quintic splines through a signal (N, n), for `shifted`."""
+    return np.asarray(spline_filter1d(signal, _QUINTIC, axis=0, mode="mirror"))
+
+
+def shifted(coefficients: Array, at: NDArray[np.intp], steps: Array) -> Array:
+    """Return values (K, n) of splines, or of filtered ones, at samples (K,) plus `steps` (n,).
+
+    A spline's coefficients (N, n) may be filtered instead of its values. Steps are in samples.
+    Three more samples are needed on either side.
+    """
+    columns, whole = contiguous(coefficients.T), np.floor(steps).astype(int)
+    values = np.empty((len(columns), len(at)))
+    basis = BSpline.basis_element(np.arange(-3.0, 4.0), extrapolate=False)
+    for j, step in enumerate(steps - whole):
+        weights = np.nan_to_num(basis(step - np.arange(-3.0, 4.0)))
+        calc_outputs(weights, columns[j : j + 1], at + whole[j], values[j : j + 1])
+    return values.T
 
 
 def resample(time: Array, signals: Array, instants: Array, *, sharp: bool = False) -> Array:

@@ -8,13 +8,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pendulum_logs import JOINTS, PENDULUM
+from scipy.interpolate import make_interp_spline
 
 from geodrake import load_model
 from geodrake.diagnosis import check_columns, compare
 from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs import noise, reduce
 from geodrake.logs import JointLog, Motion, read_log, smoothing, uniform_log, write_log
-from geodrake.logs.filtering import choose_bandwidth, design_filter, differentiate, resample
+from geodrake.logs.filtering import (
+    choose_bandwidth,
+    design_filter,
+    differentiate,
+    resample,
+    shifted,
+    spline_coefficients,
+)
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.motion import Trajectory, check_joints
 from geodrake.logs.preparation import prepare_logs
@@ -354,6 +362,17 @@ def test_filtered_white_noise_is_white_after_decimation(share):
     assert abs(np.corrcoef(filtered[1:], filtered[:-1])[0, 1]) < 0.15
     rate = 1 / low_pass.output_period
     assert 2 * low_pass.bandwidth - 1e-9 <= rate <= 2.1 * low_pass.bandwidth
+
+
+def test_signals_are_shifted_before_or_after_the_filter_alike(low_pass):
+    signal, steps = np.random.default_rng(3).normal(size=(4000, 3)), np.array([0.0, 0.4, -2.7])
+    inner, spline = np.arange(500, 3500), make_interp_spline(np.arange(4000), signal, k=5)
+    moved = np.stack([spline(inner + step)[:, j] for j, step in enumerate(steps)], 1)
+    coefficients = spline_coefficients(signal)
+    np.testing.assert_allclose(shifted(coefficients, inner, steps), moved, atol=1e-9)
+    at = inner[low_pass.output_indices(len(inner))]
+    found = shifted(low_pass.smooth(coefficients), at, steps)
+    np.testing.assert_allclose(found, low_pass.apply(moved), atol=1e-9)
 
 
 def test_what_no_filter_can_have():

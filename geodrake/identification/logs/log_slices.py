@@ -8,14 +8,12 @@ from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
 
 from geodrake.compiling import contiguous
 from geodrake.effects.base import Effect
 from geodrake.effects.declarations import Role
 from geodrake.effects.effect_columns import EffectColumns, declares_signals
 from geodrake.effects.robot_motion import log_number
-from geodrake.effects.sensors import delayed_by
 from geodrake.identification.logs.contact_rows import (
     MixedRows,
     add_weighted,
@@ -23,7 +21,7 @@ from geodrake.identification.logs.contact_rows import (
     row_scales,
 )
 from geodrake.identification.logs.dataset import Indices, JointRows, column_starts, is_payload
-from geodrake.logs.filtering import spline_through
+from geodrake.logs.filtering import shifted, spline_coefficients
 from geodrake.logs.motion import MEMORY, Motion, Trajectory
 from geodrake.logs.smoothing import SPLINE_REACH, Segment, Stretch
 from geodrake.model.carried_payloads import carried_phi, carrying
@@ -348,12 +346,19 @@ class LogSlice:
         return scales / scales[:, None]
 
     @cached_property
-    def _effort_spline(self) -> BSpline | None:
-        """Spline that interpolates efforts at other instants, if needed."""
-        effort = self._near[0].motor_effort
-        if len(effort) < 2 or not any(seconds.any() for seconds in self.advance):
-            return None
-        return spline_through(effort)
+    def _effort_spline(self) -> tuple[Array, int]:
+        """Coefficients (·, nv) of splines through efforts, and the index of the first sample.
+
+        Efforts before and after a piece are its first and last ones.
+        """
+        near, inner = self._near
+        beyond = 3 + int(np.abs(self.advance).max(initial=0.0) / self.stretch.period + 1.0)
+        padded = np.pad(near.motor_effort, ((beyond, beyond), (0, 0)), mode="edge")
+        return spline_coefficients(padded), beyond + inner.start
+
+    @cached_property
+    def _smooth_spline(self) -> Array:
+        return self.trajectory.filter.smooth(self._effort_spline[0])
 
     def _motion_rows(self, shared: RowCache) -> Blocks:
         """Return the motion and share of time at rest (K, 4) by joint, and instants (K,) at −1."""
@@ -379,12 +384,13 @@ class LogSlice:
         """Return filtered efforts (K, nv, d), each advanced by its delay."""
 
         def advanced(seconds: Array) -> Blocks:
-            (near, inner), period = self._near, self.stretch.period
-            effort = delayed_by(-seconds, near.motor_effort, period, spline=self._effort_spline)
-            effort = effort[inner]
-            if (rows := self.contact_rows(shared)) is not None:
-                effort = rows.efforts(effort)
-            return {0: self.trajectory.filter.apply(effort)}
+            low_pass, steps = self.trajectory.filter, seconds / self.stretch.period
+            coefficients, first = self._effort_spline
+            samples = np.arange(self.samples.stop - self.samples.start)
+            if (rows := self.contact_rows(shared)) is None:  # shifts and filters commute
+                at = first + low_pass.output_indices(len(samples))
+                return {0: shifted(self._smooth_spline, at, steps)}
+            return {0: low_pass.apply(rows.efforts(shifted(coefficients, first + samples, steps)))}
 
         keys = [("effort", seconds.tobytes(), self.place) for seconds in self.advance]
         pairs = zip(keys, self.advance, strict=True)
