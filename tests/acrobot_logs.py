@@ -1,4 +1,4 @@
-"""An acrobot of MuJoCo, whose shoulder nobody drives or measures, and logs of it."""
+"""An acrobot of MuJoCo, whose shoulder has neither motor nor sensor of effort, and logs of it."""
 
 from functools import cache
 
@@ -21,7 +21,7 @@ def text(shoulder=0.0, friction=0.0, mass=0.8):
 
 @cache
 def simulated(xml, seed, seconds=16.0):
-    """(N, 4) time, positions and the elbow's effort with noise, as a servo swings the elbow."""
+    """Return (N, 4) time, positions and the elbow's noisy effort while a servo swings the elbow."""
     model, rng = mujoco.MjModel.from_xml_string(xml), np.random.default_rng(seed)
     data, rows = mujoco.MjData(model), []
     phase, rate, size = (rng.uniform(*ends, 4) for ends in ((0, 6.3), (0.2, 1.1), (0.3, 0.7)))

@@ -31,7 +31,7 @@ TRUTH = CONTROL.prior
 
 
 def pendulum_plant(time_step=0.0, *, limits=None, reverse=False, damping=DAMPING, finalized=True):
-    """A plant of the double pendulum, with its friction as Drake's own damping."""
+    """Return a plant of the double pendulum, with its friction as Drake's own damping."""
     plant = MultibodyPlant(time_step)
     Parser(plant).AddModels(str(MODELS / "double_pendulum.urdf"))
     plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
@@ -48,20 +48,20 @@ def pendulum_plant(time_step=0.0, *, limits=None, reverse=False, damping=DAMPING
 
 
 def motion(size=0.8, duration=20.0):
-    """A smooth motion of the double pendulum."""
+    """Return a smooth motion of the double pendulum."""
     t = np.linspace(0.0, duration, round(10 * duration) + 1)
     q = size * np.sin(np.outer([1.3, 2.1], t) + np.array([[0.0], [0.4]]))
     return PiecewisePolynomial.CubicWithContinuousSecondDerivatives(t, q)
 
 
 def states_along(time):
-    """Positions, velocities and accelerations (N, 2) of that motion at instants."""
+    """Return positions, velocities and accelerations (N, 2) of that motion."""
     path = motion()
     return (np.array([path.EvalDerivative(t, k).ravel() for t in time]) for k in range(3))
 
 
 def perturbed(size, seed=0, truth=TRUTH, control=CONTROL):
-    """A wrong estimate: bodies changed by congruences, friction by factors."""
+    """Return a wrong estimate: bodies changed by congruences, friction by factors."""
     rng = np.random.default_rng(seed)
     phi = control.phi(truth)
     G = np.eye(4) + size * rng.normal(size=(len(phi), 4, 4))
@@ -78,12 +78,12 @@ START = perturbed(0.15)
 
 
 def passive(law="natural", **options):
-    """A controller by passivity that begins with a wrong estimate and knows the truth."""
+    """Return a passivity-based controller that begins with a wrong estimate and knows the truth."""
     return _controller(PassivityBasedAdaptiveController, law, options)
 
 
 def computed(law="natural", **options):
-    """The same by computed torque."""
+    """Return a computed-torque controller that begins with a wrong estimate and knows the truth."""
     return _controller(AdaptiveComputedTorqueController, law, options)
 
 
@@ -93,7 +93,7 @@ def _controller(kind, law, options):
 
 
 def closed_loop(controller, *, plant=None, size=0.8, effects=(), log_period=1e-2, sensor=None):
-    """A builder with a loop in it."""
+    """Return a builder with a loop in it."""
     builder = DiagramBuilder()
     plant = builder.AddSystem(plant or pendulum_plant())
     loop = add_adaptive_loop(
@@ -109,7 +109,7 @@ def closed_loop(controller, *, plant=None, size=0.8, effects=(), log_period=1e-2
 
 
 def simulator(diagram, context=None, *, step=1e-3, accuracy=1e-6):
-    """A simulator that is exact enough between the samples of a controller."""
+    """Return a simulator that is accurate between the samples of a controller."""
     found = Simulator(diagram) if context is None else Simulator(diagram, context)
     config = SimulatorConfig(
         integration_scheme="runge_kutta3", max_step_size=step, accuracy=accuracy
@@ -119,7 +119,7 @@ def simulator(diagram, context=None, *, step=1e-3, accuracy=1e-6):
 
 
 def run(controller, duration, **options):
-    """Times and logs of a loop from the start of the motion."""
+    """Return times and logs of a loop from the start of the motion."""
     builder, loop = closed_loop(controller, **options)
     diagram = builder.Build()
     found = simulator(diagram, loop.context(diagram))
@@ -129,7 +129,7 @@ def run(controller, duration, **options):
 
 
 def check_estimates(logs):
-    """All is finite and every estimate physical."""
+    """Check that all numbers are finite and every estimate is physical."""
     for name, values in logs.items():
         assert np.isfinite(values).all(), name
     phi = logs["parameters"][:, : CONTROL.num_inertial]
@@ -137,17 +137,17 @@ def check_estimates(logs):
 
 
 def tracking_error(logs):
-    """Greatest error of position (N,), rad."""
+    """Return the largest error of position (N,), rad."""
     n = logs["actuation"].shape[1]
     return np.abs(logs["state"] - logs["desired_state"])[:, :n].max(1)
 
 
 class SlowSensor(LeafSystem):
-    """A sensor that holds what it measured until its next sample, and first has nothing.
+    """A sensor that holds its last sample, and has none at first.
 
     Args:
-        size: Length of what it measures.
-        period: From sample to sample, s.
+        size: Length of a sample.
+        period: Time between samples, s.
     """
 
     def __init__(self, size, period):
@@ -162,7 +162,7 @@ class SlowSensor(LeafSystem):
 
 
 def faulty(fault, start=0.0, stop=np.inf):
-    """A sensor with a fault, which makes another value of a `Sample`, from some time on."""
+    """Return a sensor whose fault changes the values of each `Sample` from some time on."""
     return FaultySensor(4, [Episode(fault, start, stop)], seed=0)
 
 
@@ -175,13 +175,13 @@ def infinite(sample):
 
 
 def noisy(position, velocity):
-    """A fault of Gaussian noise of these sizes, rad and rad/s."""
+    """Return a fault of Gaussian noise of these sizes, rad and rad/s."""
     sizes = np.repeat([position, velocity], 2)
     return lambda sample: sample.true + sizes * sample.rng.normal(size=len(sizes))
 
 
 def fixed(system, context=None, **inputs):
-    """A Context of a system, a new one if none is given, with values of input ports."""
+    """Return a Context, new if none is given, with values of input ports."""
     context = context or system.CreateDefaultContext()
     for name, value in inputs.items():
         system.GetInputPort(name).FixValue(context, value)

@@ -1,6 +1,6 @@
-"""Logs of chains of joints on known motions: Drake's inverse dynamics, and hidden efforts on top.
+"""Logs of chains of joints on known motions: Drake's inverse dynamics plus hidden efforts.
 
-The hidden effort is any function of the motion, written out where it is used.
+A hidden effort is any function of the motion, written where it is used.
 """
 
 from functools import partial
@@ -12,7 +12,7 @@ from geodrake.logs import JointLog
 
 
 def multisine(time, rng, *, joints=2, base=0.1, harmonics=8, reach=1.2):
-    """Smooth random motion: positions, velocities and accelerations (N, joints) at times (N,)."""
+    """Return a smooth random motion: positions, velocities and accelerations (N, joints)."""
     rate = 2 * np.pi * base * np.arange(1, harmonics + 1)[:, None]
     angle = rate[None] * time[:, None, None] + rng.uniform(0, 2 * np.pi, (harmonics, joints))
     swing = reach * rng.uniform(0.3, 1.0, (harmonics, joints)) / np.sqrt(harmonics)
@@ -22,7 +22,7 @@ def multisine(time, rng, *, joints=2, base=0.1, harmonics=8, reach=1.2):
 
 
 def inverse_dynamics(plant, q, v, vd, context=None):
-    """Efforts (N, nv) of a plant's bodies, by Drake; with the parameters of a Context."""
+    """Return efforts (N, nv) of a plant's bodies by Drake, with the parameters of a Context."""
     context = plant.CreateDefaultContext() if context is None else context
     forces, rows = MultibodyForces(plant), []
     for state, accelerations in zip(np.hstack([q, v]), vd, strict=True):
@@ -33,14 +33,14 @@ def inverse_dynamics(plant, q, v, vd, context=None):
 
 
 def logged(dynamics, joints, seed, hidden, noise, *, seconds=20.0, rate=200.0, **motion):
-    """A log of a robot.
+    """Return a log of a robot.
 
     Args:
         dynamics: Function (q, v, vd) -> load (N, nv) of its joints.
         joints: Their names.
         seed: Of motion and noise.
-        hidden: None, or a function (q, v, vd, load) -> efforts (N, nv) beside.
-        noise: Function of the load that gives the deviation (nv,) of the efforts' white noise.
+        hidden: None, or a function (q, v, vd, load) -> further efforts (N, nv).
+        noise: Function of the load that returns the deviation (nv,) of the efforts' white noise.
         seconds: Length.
         rate: Sampling rate, Hz.
         motion: Further arguments of `multisine`.
@@ -56,6 +56,6 @@ def logged(dynamics, joints, seed, hidden, noise, *, seconds=20.0, rate=200.0, *
 
 
 def chain_log(model, seed, hidden=None, *, share=0.02, **options):
-    """A log of the robot of a model, whose noise is a share of the deviation of its load."""
+    """Return a log of a model, whose noise is a share of the deviation of its load."""
     dynamics = partial(inverse_dynamics, model.plant)
     return logged(dynamics, model.joints, seed, hidden, lambda u: share * u.std(0), **options)

@@ -1,4 +1,4 @@
-"""Robots with closed loops as MJCF texts, and MuJoCo's constrained dynamics of them."""
+"""Robots with closed loops as MJCF, and their constrained dynamics by MuJoCo."""
 
 from dataclasses import dataclass
 
@@ -56,7 +56,7 @@ def finger(side, sign):
 
 
 def gripper(polynomial="0 -1 0 0 0"):
-    """A hand with two fingers on parallelograms, which move together, at the end of an arm."""
+    """Return an arm with a hand, whose two fingers on parallelograms move together."""
     hand = (
         '<body name="hand" pos="0 0 .4"><inertial mass=".6" pos="0 0 .03" '
         f'diaginertia=".001 .001 .001"/>{finger("left", 1)}{finger("right", -1)}</body>'
@@ -71,7 +71,7 @@ def gripper(polynomial="0 -1 0 0 0"):
 
 
 def leg():
-    """A leg with two springs, of which a rod between balls and a flat linkage drive parts."""
+    """Return a leg with two springs, a rod between balls, and a flat linkage."""
     foot = body("foot", ".4 0 .02", "foot", (0.3, ".02 0 -.03", "5e-4 8e-4 6e-4"))
     plantar = body("plantar", ".03 .01 -.05", "plantar", (0.2, ".18 0 0", "1e-4 2e-3 2e-3"))
     crank = body(
@@ -110,7 +110,7 @@ class Constrained:
 
     Attributes:
         m: The compiled model.
-        free: (n,) velocities that are given; the others follow.
+        free: (n,) independent velocities.
     """
 
     m: object
@@ -122,7 +122,7 @@ class Constrained:
         return cls(m, np.array([m.joint(name).dofadr[0] for name in free]))
 
     def closed(self, qpos):
-        """The positions near some others at which all equalities hold, and G (nv, n)."""
+        """Return the nearest positions at which all equalities hold, and G (nv, n)."""
         data, m = mujoco.MjData(self.m), self.m
         data.qpos[:] = qpos
         others = [k for k in range(m.nv) if k not in self.free]
@@ -141,14 +141,14 @@ class Constrained:
         return np.array(data.qpos), G
 
     def equations(self, data):
-        """J and c of the equalities."""
+        """Return J and c of the equalities."""
         mujoco.mj_fwdPosition(self.m, data)
         own = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
         J = np.array(data.efc_J).reshape(-1, self.m.nv)[own]
         return J, np.array(data.efc_pos)[own]
 
     def bias(self, qpos, G, v, step=1e-5):
-        """Ġ v (nv,), by differences along the motion."""
+        """Return Ġ v (nv,) by differences along the motion."""
         there = []
         for sign in (1.0, -1.0):
             moved = np.array(qpos)
@@ -157,7 +157,7 @@ class Constrained:
         return (there[0] - there[1]) @ v / (2.0 * step)
 
     def inverse(self, qpos, qvel, qacc):
-        """The efforts (nv,) of the open tree, springs, damping and armature included."""
+        """Return efforts (nv,) of the open tree, with springs, damping and armature."""
         data, flags = mujoco.MjData(self.m), self.m.opt.disableflags
         data.qpos[:], data.qvel[:], data.qacc[:] = qpos, qvel, qacc
         self.m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
@@ -166,7 +166,7 @@ class Constrained:
         return np.array(data.qfrc_inverse)
 
     def acceleration(self, qpos, qvel, effort):
-        """q̈ (nv,) under efforts (nv,), of M q̈ + Jᵀ λ = τ − h and J q̈ = −J̇ q̇."""
+        """Return q̈ (nv,) under efforts (nv,), from M q̈ + Jᵀ λ = τ − h and J q̈ = −J̇ q̇."""
         m, h = self.m, 1e-6
         data = mujoco.MjData(m)
         data.qpos[:] = qpos
@@ -186,7 +186,7 @@ class Constrained:
 
 
 def sdf(links, joints):
-    """An SDF of links (name, place, inertial) and joints (name, type, ends, place, axis, terms)."""
+    """Return an SDF of links (name, place, inertial) and of joints with type, ends and terms."""
     text = '<link name="base"/><joint name="fixed" type="fixed"><parent>world</parent>'
     text += "<child>base</child></joint>"
     for name, place, (mass, com, moments) in links:
@@ -218,7 +218,7 @@ def dynamics(**terms):
 
 
 def four_bar_sdf(pin=("revolute", ""), limits=None):
-    """`four_bar` as SDF, with one joint too many for a tree; but for the rocker's armature."""
+    """Return `four_bar` as SDF with a joint that closes the loop, without armature."""
     rocker = dynamics(damping=0.1, spring_stiffness=2, spring_reference=0.2)
     joints = [
         ("crank", "revolute", ("base", "crank_link"), "0 0 0", ""),
@@ -232,7 +232,7 @@ def four_bar_sdf(pin=("revolute", ""), limits=None):
 
 
 def underactuated():
-    """A hand of two tied fingers of four joints each, of which springs hold one."""
+    """Return a hand of two coupled fingers of four joints each, one of which springs hold."""
 
     def side(name, sign):
         coupler = body(

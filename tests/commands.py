@@ -1,4 +1,4 @@
-"""Commands in this process: what they say where they succeed, and the line where they do not."""
+"""Commands in this process: their output on success, and their message on an error."""
 
 import re
 
@@ -8,19 +8,19 @@ from geodrake.cli.app import app
 
 
 def run(*arguments, **settings):
-    """The result of a command, whatever it is."""
+    """Return the result of a command."""
     return CliRunner().invoke(app, [str(each) for each in arguments], **settings)
 
 
 def told(*arguments):
-    """All that a command says that succeeds, with single blanks."""
+    """Return the output of a command that succeeds, with single blanks."""
     result = run(*arguments)
     assert result.exit_code == 0, result.output
     return " ".join(result.output.split())
 
 
 def refused(*arguments, code=2):
-    """What a command says that ends with an error: one line, and nothing on standard output."""
+    """Return the message of a command that fails: one line, and nothing on standard output."""
     result = run(*arguments)
     assert (result.exit_code, result.stdout) == (code, ""), result.output
     # Warnings come before, and a busy machine is told every five seconds what is done.
@@ -31,5 +31,5 @@ def refused(*arguments, code=2):
 
 
 def contents(folder):
-    """All that is in a folder."""
+    """Return the contents of all files in a folder."""
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}

@@ -1,4 +1,4 @@
-"""What holds for all tests: threads, what is quick, and public measurements that may be absent."""
+"""Settings of all tests: threads, the mark `quick`, and public measurements that may be absent."""
 
 import gc
 import os
@@ -57,7 +57,7 @@ LONG_MARKS = ("thorough", "measurements")
 
 
 def is_long(name, value):
-    """Whether a global of a test module is something that takes its time."""
+    """Return whether a global of a test module takes long to run."""
     return name in LONG_FUNCTIONS or not LONG_MODULES.isdisjoint(
         (getattr(value, "__name__", None), getattr(value, "__module__", None))
     )
@@ -65,14 +65,14 @@ def is_long(name, value):
 
 @cache
 def is_quick(module):
-    """Whether a test module has parts of geodrake to test, rather than a command's whole work."""
+    """Return whether a module tests parts of geodrake rather than whole commands."""
     return Path(module.__file__).parent.name not in LONG_FOLDERS and not any(
         is_long(name, value) for name, value in vars(module).items()
     )
 
 
 def pytest_ignore_collect(collection_path, config):
-    """Whether a folder need not be imported, as quick tests are asked for and it has none."""
+    """Ignore folders without quick tests if only these are asked for."""
     asked = config.option.markexpr == "quick"
     return True if asked and collection_path.name in LONG_FOLDERS else None
 
@@ -100,10 +100,10 @@ def pytest_collection_finish(session):
 
 
 def deal_out(items, workers):
-    """The tests in the order in which processes, each with an equal share, are done soonest.
+    """Return the tests in the order in which processes with equal shares end soonest.
 
-    Each begins with modules of its own that search and simulate, whose fixtures are then made
-    once. What one takes over from another at the end are the many small tests of hostile input.
+    Each process begins with its own modules that search and simulate, whose fixtures are then
+    created once. At the end, they take small tests of hostile input from each other.
     """
     modules = defaultdict(list)
     for item in items:

@@ -26,7 +26,7 @@ def random_pose(rng):
 
 
 def arm(seed=0, *, joints="RRR", frames=None, length=1.0, mass=1.0, time=1.0, effects=()):
-    """A chain of revolute (R) and prismatic (P) joints.
+    """Return a chain of revolute (R) and prismatic (P) joints.
 
     The same seed is the same robot, whatever the poses of its body frames and the units (of one
     metre, kilogram and second).

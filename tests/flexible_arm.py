@@ -1,4 +1,4 @@
-"""An arm of seven joints, one of them soft: its model, and a log by MuJoCo."""
+"""An arm of seven joints, one of them elastic: its model, and a log by MuJoCo."""
 
 from functools import cache
 from pathlib import Path
@@ -17,9 +17,9 @@ KD = 0.05 * KP
 
 @cache
 def arm_log(stiffness, seed=1, seconds=14.0, step=4e-4, weight=1.0):
-    """An arm of which joint 4 has a spring behind its motor, by MuJoCo; servos by hand.
+    """Return a log of an arm with servos, whose joint 4 has a spring behind its motor, by MuJoCo.
 
-    They are told to be where they are to be, and give a share of the weight beside.
+    Servos follow commands and compensate a share of the weight.
     """
     spec = mujoco.MjSpec.from_file(str(ARM))
     spec.option.timestep = step

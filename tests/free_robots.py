@@ -1,11 +1,11 @@
-"""Robots with a free base by Pinocchio, which has the same six joints there as geodrake's."""
+"""Robots with a free base by Pinocchio, with the same six joints as geodrake's base."""
 
 import numpy as np
 import pinocchio as pin
 
 
 class FreeRobot:
-    """Dynamics of a URDF, (n,) numbers of its base's joints and of others by names."""
+    """Dynamics of a URDF, by (n,) numbers of the base's joints and of other joints."""
 
     def __init__(self, text, joints):
         base = pin.JointModelComposite()
@@ -17,7 +17,7 @@ class FreeRobot:
         self.order = [*range(6), *(joint.idx_v for joint in self.own)]
 
     def efforts(self, q, v, a):
-        """Return what the motion needs; endless joints have cosine and sine."""
+        """Return the efforts of a motion; endless joints have cosine and sine."""
         full = pin.neutral(self.model)
         speed, rate = np.zeros((2, self.model.nv))
         full[:6], speed[self.order], rate[self.order] = q[:6], v, a
@@ -30,21 +30,21 @@ class FreeRobot:
         return needed
 
     def jacobian(self, frame):
-        """Return the Jacobian (6, n) of a frame's place and turning, in the last state."""
+        """Return the Jacobian (6, n) of a frame's position and rotation in the last state."""
         world, number = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED, self.model.getFrameId(frame)
         return pin.getFrameJacobian(self.model, self.data, number, world)[:, self.order]
 
     def jacobian_at(self, frame, offset):
-        """Return the Jacobian (3, n) of a point that is so far from a frame, along the world."""
+        """Return the Jacobian (3, n) of a point with an offset from a frame, along the world."""
         moved, turned = np.split(self.jacobian(frame), 2)
         return moved - pin.skew(np.asarray(offset)) @ turned
 
     def pose(self, frame):
-        """Return the rotation and the place of a frame in the last state."""
+        """Return the rotation and position of a frame in the last state."""
         pose = self.data.oMf[self.model.getFrameId(frame)]
         return pose.rotation, pose.translation
 
     def wrench(self):
-        """Return moment and force (6,) about the origin that the last motion needs of outside."""
+        """Return the external moment and force (6,) about the origin that the last motion needs."""
         needed = self.data.oMi[1].act(self.data.f[1])
         return np.append(needed.angular, needed.linear)

@@ -23,14 +23,14 @@ PINOCCHIO_ORDER = [0, 1, 2, 3, 4, 6, 9, 5, 8, 7]  # its [m, h, Ixx, Ixy, Iyy, Ix
 
 
 def cases(*names):
-    """The names, those marked that come with the public measurements."""
+    """Return the names as parameters; those with public measurements are marked."""
     public = [name for name in names if name.startswith("reference/")]
     marks = {name: pytest.mark.measurements(name) for name in public}
     return [pytest.param(name, marks=marks.get(name, ())) for name in names]
 
 
 def robots():
-    """Where example-robot-data keeps its models."""
+    """Return the folder of example-robot-data with its models."""
     try:
         package = distribution("example-robot-data")
     except PackageNotFoundError:
@@ -39,7 +39,7 @@ def robots():
 
 
 def description(name):
-    """Text of a URDF without shapes, damping, transmissions, coupled and continuous joints."""
+    """Return a URDF without shapes, damping, transmissions, coupled and continuous joints."""
     folder, _, rest = name.partition("/")
     root = {"models": lambda: MODELS, "reference": lambda: REFERENCE, "robots": robots}[folder]()
     path = root / rest
@@ -86,7 +86,7 @@ def assert_close(actual, expected):
 
 
 def efforts_on_a_free_base(text, plant, q, v, vd):
-    """By Pinocchio, each sample: R_WB, the wrench (n, f) in the base, efforts, their velocities."""
+    """Return R_WB, wrench (n, f) in the base, and efforts of each sample, by Pinocchio."""
     pinocchio = pytest.importorskip("pinocchio")
     model = pinocchio.buildModelFromXML(text, pinocchio.JointModelFreeFlyer())
     data, joints = model.createData(), moving_joints(plant)

@@ -16,7 +16,7 @@ MOTOR = 0.3  # kg·m², of the body of a motor
 
 
 def arm(*, damping=0.0, spring=None, dofs=3, weld_tool=False, time_step=0.0):
-    """A chain of revolute joints about y, z and x, whose links hang from each other.
+    """Return a chain of revolute joints about y, z and x, whose links hang from each other.
 
     `spring` are stiffness and damping between the body of the first joint's motor and its link.
     """

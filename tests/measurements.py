@@ -1,6 +1,6 @@
-"""Where the public measurements and models are that some tests need and the project does not have.
+"""Public measurements and models that some tests need and the project does not contain.
 
-A test that needs some is marked with their paths, and skipped where they are absent:
+Such a test is marked with their paths, and skipped where they are absent:
 
     @pytest.mark.measurements("data/tx40.csv", "reference/tx40.urdf")
 """
@@ -15,5 +15,5 @@ DATA, REFERENCE = MEASUREMENTS / "data", MEASUREMENTS / "reference"
 
 
 def absent(names):
-    """Those of the names that are not there; a name may be a pattern, such as data/tx40*.csv."""
+    """Return the absent ones of some names, which may be patterns such as data/tx40*.csv."""
     return [name for name in names if not any(MEASUREMENTS.glob(name))]

@@ -1,4 +1,4 @@
-"""MuJoCo's own inverse dynamics, of joints of one degree of freedom."""
+"""MuJoCo's own inverse dynamics of joints with one degree of freedom."""
 
 import mujoco
 import numpy as np
@@ -7,7 +7,7 @@ _OFF = "LIMIT", "FRICTIONLOSS", "CONTACT"
 
 
 def mujoco_efforts(theirs, joints, q, v, vd, closed=True):
-    """Efforts (N, n) at joints, without forces of constraints; that equalities hold is checked."""
+    """Return efforts (N, n) at joints without constraint forces; check that equalities hold."""
     off = [int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{each}")) for each in _OFF]
     theirs.opt.disableflags |= sum(off)
     data, at = mujoco.MjData(theirs), [theirs.joint(name).id for name in joints]

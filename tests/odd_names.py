@@ -1,4 +1,4 @@
-"""Names that are code, markup, escape sequences or nothing that a language could hold."""
+"""Names that are code, markup, escape sequences or unusual text."""
 
 PWNED = '__import__("os").system("touch PWNED")'
 IN_XML = {

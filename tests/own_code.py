@@ -1,4 +1,4 @@
-"""Effects and transmissions of users' own, as classes and as files."""
+"""Effects and transmissions of users, as classes and as files."""
 
 import textwrap
 from collections.abc import Callable
@@ -26,7 +26,7 @@ SIZE = (Parameter("size", "N·m"),)
 
 
 def own_effect(name, kind=JointEffect, *, parameters=SIZE, **more):
-    """A class of effects, of which further fields and methods are given by name."""
+    """Return a class of effects with further fields and methods by name."""
     fields = {"name": name, "parameters": parameters, **more}
     return dataclass(frozen=True)(type(_class_of(name), (kind,), fields))
 
@@ -49,7 +49,7 @@ class {of}(JointEffect):
 
 
 def effect(body="return [joint.q]", *, more="", method="columns", before="", **others):
-    """The text of a file with one effect, of which all is in order but what is given."""
+    """Return the text of a valid file with one effect, apart from what is given."""
     more, body = (textwrap.indent(text, n * "    ") for text, n in ((more, 1), (body, 2)))
     told = {"name": "own", "parameter": '"size", "N·m"', **others}
     of = _class_of(told["name"])

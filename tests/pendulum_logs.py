@@ -1,4 +1,4 @@
-"""Logs of a double pendulum on known motions, with hidden efforts in formulas written out here."""
+"""Logs of a double pendulum on known motions, with hidden efforts in formulas of this file."""
 
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,7 @@
-"""Logs of robots by Pinocchio, with hidden efforts in formulas written out where they are used.
+"""Logs of robots by Pinocchio, with hidden efforts in formulas where they are used.
 
-Nothing here comes from geodrake but the container of the log; bodies are perturbed, so that the
-model file's inertias are off.
+Only the container of the log comes from geodrake. Bodies are perturbed, so that the model file's
+inertias are off.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ class Multisine:
     rate: np.ndarray
 
     def __call__(self, t):
-        """Position, velocity and acceleration, (…, n) each, at times t (…)."""
+        """Return position, velocity and acceleration, (…, n) each, at times t (…)."""
         angle = self.rate * np.asarray(t)[..., None, None] + self.phase
         swing = self.amplitude * np.sin(angle)
         q = self.center + swing.sum(-2)
@@ -35,12 +35,12 @@ class Multisine:
 
 
 def robot(name):
-    """Pinocchio's model of one of the repository's robots."""
+    """Return Pinocchio's model of one of the repository's robots."""
     return pin.buildModelFromUrdf(str(MODELS / f"{name}.urdf"))
 
 
 def random_motion(model, rng, *, base=0.1, harmonics=6, reach=0.6, pace=0.6):
-    """A motion within shares `reach` of the position and `pace` of the speed limits."""
+    """Return a motion within shares `reach` of the position and `pace` of the speed limits."""
     low, high = model.lowerPositionLimit, model.upperPositionLimit
     half = np.minimum((high - low) / 2, np.pi / 2)
     center = np.clip(0.0, low + half, high - half)
@@ -56,7 +56,7 @@ def random_motion(model, rng, *, base=0.1, harmonics=6, reach=0.6, pace=0.6):
 
 
 def perturbed(model, rng, off):
-    """A model whose masses, mass centres and inertias are off by a share `off`, still physical."""
+    """Return a physical model whose masses, mass centres and inertias are off by a share `off`."""
     model = pin.Model(model)
     for i in range(1, model.njoints):
         body = model.inertias[i]
@@ -71,7 +71,7 @@ def perturbed(model, rng, off):
 
 @dataclass(frozen=True)
 class Seen:
-    """What a hidden effort may be a function of: (N, n) each, and Pinocchio's model and data."""
+    """Arguments of a hidden effort, (N, n) each, and Pinocchio's model and data."""
 
     time: np.ndarray
     q: np.ndarray
@@ -82,12 +82,12 @@ class Seen:
     data: pin.Data
 
     def more(self, model):
-        """(N, n) effort that another model needs beyond that of this robot."""
+        """Return the effort (N, n) that another model needs beyond that of this robot."""
         data, samples = model.createData(), zip(self.q, self.v, self.a, strict=True)
         return np.array([pin.rnea(model, data, *sample) for sample in samples]) - self.load
 
     def with_body(self, joint, change):
-        """(N, n) effort that the robot needs more if the body of a joint is another one."""
+        """Return the further effort (N, n) of the robot with another body at a joint."""
         other = pin.Model(self.model)
         other.inertias[joint] = change(other.inertias[joint])
         return self.more(other)
@@ -104,21 +104,18 @@ class Recording:
 def effort_log(
     name, seed, hidden=None, *, off=0.0, duration=24.0, share=0.03, rate=250.0, colour=0.0, **motion
 ):
-    """A log of a robot's inverse dynamics and a hidden effort, with noise.
+    """Return a log of a robot's inverse dynamics and a hidden effort, with noise.
 
     Args:
         name: Name of the robot.
         seed: Of motion, bodies and noise.
-        hidden: Function of `Seen` that gives efforts (N, n), or a dict of joint -> (N,).
+        hidden: Function of `Seen` that returns efforts (N, n), or a dict of joint -> (N,).
         off: Share by which the bodies differ from the model file.
         duration: Length, s.
         share: Deviation of the effort's noise, as a share of that of the effort.
         rate: Samples a second.
         colour: Correlation of the effort's noise from one sample to the next.
         motion: Arguments of `random_motion`.
-
-    Returns:
-        A Recording.
     """
     rng, file = np.random.default_rng(seed), robot(name)
     plant = perturbed(file, rng, off)

@@ -1,7 +1,7 @@
-"""Commands in this process, in a copy of it or in one of their own, all with limits of time.
+"""Commands in this process, in a copy of it or in a new one, all with time limits.
 
-Limits count the processor's seconds, of which a busy machine takes no more, and where something may
-wait for ever, those of the clock, too.
+Limits count CPU time, which does not depend on the load of the machine, and wall-clock time where
+a process may wait forever.
 """
 
 import os
@@ -30,12 +30,12 @@ INTERNAL = 70  # exit code of a copy that never came to its command
 
 
 class HangError(BaseException):
-    """A command that did not end; no handler of errors may take it for one of its own."""
+    """Raised if a command does not end; no handler of errors may catch it."""
 
 
 @contextmanager
 def time_limit(what, seconds=SECONDS):
-    """Raise a HangError if this process works for longer, or waits without an end."""
+    """Raise a HangError if this process takes longer, or waits forever."""
 
     def hang(number, _frame):
         raise HangError(f"{what} has not ended: {signal.Signals(number).name}")
@@ -54,14 +54,14 @@ def time_limit(what, seconds=SECONDS):
 
 
 def limit_own_time(seconds=SECONDS):
-    """Let the system end this process, which was made for a command, when it works for longer."""
+    """Let the system end this process if it takes longer."""
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
 
 
 def limited(process, seconds):
-    """A process that was just begun, which is ended when it has worked for so long.
+    """Return a new process, which the system ends after some CPU time.
 
-    What waits for nothing is not: it does not work. (Where there is no `prlimit`, nothing is.)
+    Waiting takes no CPU time. Without `prlimit` there is no limit.
     """
     if hasattr(resource, "prlimit"):
         resource.prlimit(process.pid, resource.RLIMIT_CPU, (seconds, seconds))
@@ -69,7 +69,7 @@ def limited(process, seconds):
 
 
 def run_here(arguments):
-    """Exit code, standard output and standard error of a command in this process."""
+    """Return exit code, standard output and standard error of a command in this process."""
     with time_limit(shlex.join(["geodrake", *arguments])):
         result = CliRunner().invoke(app, arguments)
     if result.exception is not None and not isinstance(result.exception, SystemExit):
@@ -78,7 +78,7 @@ def run_here(arguments):
 
 
 def run_forked(arguments, begin=lambda: None):
-    """The same in a copy of this process, which begins with something else.
+    """Return the same of a command in a copy of this process, after a call of `begin`.
 
     A negative exit code is the signal that ended it.
     """
@@ -125,12 +125,12 @@ def _become(arguments, out, err, begin):
 
 
 def run_started(arguments, variables):
-    """The same in a process that is started for it, with variables of its own."""
+    """Return the same of a command in a new process with further environment variables."""
     return ended(start([sys.executable, "-m", "geodrake", *arguments], **variables))
 
 
 def start(command, *, folder=None, seconds=SECONDS, **variables):
-    """A process that finds the same geodrake, with other variables; None takes one out."""
+    """Start a process that finds the same geodrake, with other variables; None removes one."""
     found = {**os.environ, "PYTHONPATH": PACKAGES, "MPLBACKEND": "Agg", **variables}
     process = subprocess.Popen(
         command,
@@ -146,6 +146,6 @@ def start(command, *, folder=None, seconds=SECONDS, **variables):
 
 
 def ended(process):
-    """Exit code, standard output and standard error of a process that was started."""
+    """Return exit code, standard output and standard error of a process that was started."""
     out, err = process.communicate(timeout=PATIENCE)
     return process.returncode, out, err

@@ -51,7 +51,7 @@ def random_body(plant, rng, name, instance=None):
 
 
 def random_plant(rng, kinds, *, chain=False):
-    """A tree of one body a joint kind, each on a random earlier body, or on the last of a chain."""
+    """Return a tree of one body a joint kind, each on a random earlier body, or a chain."""
     plant = MultibodyPlant(0.0)
     bodies = [plant.world_body()]
     for number, kind in enumerate(kinds):
@@ -70,10 +70,10 @@ def random_plant(rng, kinds, *, chain=False):
 
 
 def random_tree(rng, kinds):
-    """As `random_plant`, for hypothesis: without trees that Drake cannot have.
+    """Return `random_plant` for hypothesis, without trees that Drake cannot have.
 
-    Of a free body that is the child of a reversed joint, Drake may take the parent for the base,
-    and then refuses joints of several degrees of freedom that it would have to turn round.
+    Drake may use the parent of a free body on a reversed joint as the base, and then refuses
+    joints of several degrees of freedom that it would have to reverse.
     """
     try:
         return random_plant(rng, kinds)
@@ -89,7 +89,7 @@ def random_motion(plant, rng, count):
 
 
 def drake_slopes(plant, q, v, vd):
-    """Derivatives (N, nv, nq + 2 nv) of the effort, by Drake."""
+    """Return derivatives (N, nv, nq + 2 nv) of the effort by Drake."""
     smooth = plant.ToAutoDiffXd()
     context, forces = smooth.CreateDefaultContext(), MultibodyForces_[AutoDiffXd](smooth)
     nq, nv = q.shape[1], v.shape[1]

@@ -1,4 +1,4 @@
-"""Random bodies, points of manifolds, and ways to state bodies."""
+"""Random bodies, points of manifolds, and other frames and units of bodies."""
 
 import numpy as np
 
@@ -38,7 +38,7 @@ def random_rotation(rng):
 
 
 def random_matrices(rng, *size, n=4):
-    """Symmetric positive-definite ones."""
+    """Return symmetric positive-definite matrices."""
     root = rng.normal(size=(*size, n, n))
     return root @ np.swapaxes(root, -1, -2) + 0.1 * np.eye(n)
 
@@ -48,7 +48,7 @@ def random_inertia(rng, *size):
 
 
 def round_inertia(rng, *size):
-    """Bodies close to a ball, of which rounding stays small in other frames and units."""
+    """Return bodies similar to a ball, whose rounding stays small in other frames and units."""
     return from_pseudo_inertia(np.eye(4) + 0.1 * random_matrices(rng, *size))
 
 
@@ -63,6 +63,6 @@ def random_point(manifold, rng, *size):
 
 
 def other_view(rng, metre, kilogram):
-    """The matrix (10, 10) that states φ in another frame and other units."""
+    """Return the matrix (10, 10) that expresses φ in another frame and other units."""
     seen = change_frame(np.eye(10), random_rotation(rng), rng.uniform(-1, 1, 3))
     return change_units(seen, metre=metre, kilogram=kilogram).T

@@ -1,4 +1,4 @@
-"""Results without a robot behind them, and the files of the demo, for tests of reports."""
+"""Results without a robot, and the files of the demo, for tests of reports."""
 
 from dataclasses import replace
 from importlib.resources import files
@@ -25,7 +25,7 @@ BLOCKS = (("a 0.00–4.00 s", 0.0), ("a 5.00–9.00 s", 5.0), ("b 2.00–6.00 s"
 
 
 def page(result, **about):
-    """The HTML page of a result."""
+    """Return the HTML page of a result."""
     return render(page_of(result, replace(ABOUT, **about)))
 
 
@@ -84,7 +84,7 @@ def friction(joints):
 
 
 def model_of(joints, prismatic=()):
-    """As much of a RobotModel as reports look at: its joints' kinds, effects, and no bodies."""
+    """Return the parts of a RobotModel that reports use: its joints' kinds, effects, no bodies."""
     tree = SimpleNamespace(mobilizers=())
     return SimpleNamespace(
         effort_signals=(),

@@ -1,4 +1,4 @@
-"""Plants that hold a table, objects and other robots beside the double pendulum."""
+"""Plants with a table, objects and other robots beside the double pendulum."""
 
 from pathlib import Path
 
@@ -26,9 +26,9 @@ directives:
 
 
 def scene(builder, *, time_step=1e-3, X_TB=None, actuated=(), finalize=True):
-    """A table, another pendulum, a crate that falls onto the table, and the pendulum "arm".
+    """Return a table, another pendulum, a crate that falls onto the table, and the pendulum "arm".
 
-    `X_TB` is the pose of the arm's base on the table; `actuated` are joints of it that get
+    `X_TB` is the pose of the arm's base on the table; `actuated` are its joints that get
     actuators, in this order.
     """
     plant, _ = AddMultibodyPlantSceneGraph(builder, time_step)
@@ -47,7 +47,7 @@ def scene(builder, *, time_step=1e-3, X_TB=None, actuated=(), finalize=True):
 
 
 def alone(builder, *, time_step=1e-3):
-    """The pendulum alone, without actuators."""
+    """Return the pendulum alone, without actuators."""
     plant = builder.AddSystem(MultibodyPlant(time_step))
     Parser(plant).AddModels(str(PENDULUM))
     plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
@@ -56,5 +56,5 @@ def alone(builder, *, time_step=1e-3):
 
 
 def plant_of(**options):
-    """A scene's plant in a builder that is thrown away."""
+    """Return the plant of a scene in a builder that is discarded."""
     return scene(DiagramBuilder(), **options)

@@ -19,16 +19,16 @@ TRUTH = np.array([60.0, 0.0, 4.0, 0.9, 0.08, LATE])
 
 
 def command(time):
-    """Slow swings, and small fast ones at which a servo lags."""
+    """Return slow swings with small fast ones, at which a servo lags."""
     t = np.asarray(time)
     return 0.9 * np.sin(1.1 * t) + 0.4 * np.sin(2.7 * t + 1.0) + 0.02 * np.sin(23.0 * t)
 
 
 def servo_log(*, integral=0.0, limit=np.inf, seconds=16.0, feedback=False):
-    """A position actuator with velocity feedback, armature, damping, friction.
+    """Return a log of a position servo with velocity feedback, armature, damping and friction.
 
-    Where there is a limit, damping is the joint's own unless it is asked for as velocity feedback,
-    within the limit.
+    With a limit, damping is the joint's own unless it is asked for as velocity feedback within the
+    limit.
     """
     kp, _, damping, coulomb, armature, late = TRUTH.tolist()
     own = damping if np.isfinite(limit) and not feedback else 1.0  # of the joint itself

@@ -1,4 +1,4 @@
-"""A fleet of double pendulums that Pinocchio computes, as files, with what changes in them."""
+"""Files of a fleet of double pendulums by Pinocchio, some of which change."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,12 +49,12 @@ class DayOf:
 
 
 def date_of(day):
-    """Name of a day in files."""
+    """Return the name of a day in files."""
     return f"2026-05-{day + 1:02d}"
 
 
 def write_fleet(folder, *, robots=ROBOTS, logs=LOGS):
-    """Write logs and the fleet file; returns its path."""
+    """Write logs and the fleet file; return its path."""
     for name in robots:
         (Path(folder) / name).mkdir()
         for day in range(logs):

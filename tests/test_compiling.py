@@ -1,4 +1,4 @@
-"""Compiled loops: kept on disk, shared by processes, made anew when a file of theirs changes."""
+"""Compiled loops are kept on disk, shared by processes, and compiled anew after changes."""
 
 import fcntl
 import os
@@ -24,14 +24,14 @@ def test_without_room_it_is_compiled_all_the_same(monkeypatch, tmp_path):
 
 
 def keep_in(folder, monkeypatch):
-    """Has Numba keep what it compiles there; it reads its variables again when they change."""
+    """Let Numba store compiled code in a folder; it reads its variables again when they change."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder))
     monkeypatch.setattr(compiling.config, "CACHE_DIR", str(folder))
 
 
 @pytest.fixture
 def kept(monkeypatch, tmp_path):
-    """A function that was compiled and kept, and its file."""
+    """Return a function that was compiled and stored, and its file."""
     folder = tmp_path / "kept"
     folder.mkdir(mode=0o700)
     keep_in(folder, monkeypatch)
@@ -40,7 +40,7 @@ def kept(monkeypatch, tmp_path):
         return x + 1.0
 
     def again():
-        """The function, and how often it is found."""
+        """Return the function, and how often it is found."""
         dispatcher = compiling.compiled(function)
         assert dispatcher(1.0) == 2.0
         return sum(dispatcher.stats.cache_hits.values())

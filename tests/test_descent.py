@@ -1,4 +1,4 @@
-"""Steps are as long as the cost allows, and searches end where rounding hides the rest."""
+"""Steps are as long as the cost allows, and searches end where rounding hides further progress."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Pages of docs/: links lead somewhere, lines run, commands take the options they are given."""
+"""Pages of docs/ have valid links, code that runs, and options that commands take."""
 
 import re
 import shlex
@@ -33,7 +33,7 @@ def blocks(page, language):
 
 
 def anchors(page):
-    """What links to headings of a page are called."""
+    """Return the anchors of the headings of a page."""
     titles = re.findall(r"^#+ (.+)$", text_of(page), re.M)
     words = (re.sub(r"[^\w\s-]", "", title.lower()) for title in titles)
     return {re.sub(r"[-\s]+", "-", word.strip()) for word in words}
@@ -142,7 +142,7 @@ SECTIONS = {
 
 
 class TestSource:
-    """The table of the source's sections names what there is, and every section."""
+    """The table of the source's sections names existing modules, and every section."""
 
     def test_every_section_is_there(self):
         expected = []

@@ -1,4 +1,4 @@
-"""The source keeps its shape: imports go one way, and every module says what it is."""
+"""Imports go one way, and every module says what it is."""
 
 import ast
 import re
@@ -49,13 +49,13 @@ def named(path):
 
 
 def module_name(path):
-    """geodrake.effects for geodrake/effects/__init__.py, geodrake.__init__ for geodrake's own."""
+    """Return geodrake.effects for geodrake/effects/__init__.py, for example."""
     parts = path.relative_to(ROOT).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" and len(parts) > 2 else parts)
 
 
 def layer(module):
-    """geodrake.effects.base belongs to the layer effects."""
+    """Return the layer of a module, effects for geodrake.effects.base."""
     return module.split(".")[1]
 
 
@@ -63,7 +63,7 @@ NAMES = {module_name(path) for path in MODULES}
 
 
 def imported(tree):
-    """Modules of geodrake that a syntax tree imports, wherever in it, with the line."""
+    """Yield modules of geodrake that a syntax tree imports anywhere, with the line."""
     for node in nodes(tree):
         if isinstance(node, ast.ImportFrom) and node.level:
             yield "." * node.level + (node.module or ""), node.lineno
@@ -81,7 +81,7 @@ def imported(tree):
 
 
 def wrong_imports(module, tree):
-    """Imports of a module that go down the list, are relative, or lead nowhere."""
+    """Yield imports that go down the list, are relative, or lead nowhere."""
     height = {name: i for i, name in enumerate(LAYERS)}
     for target, line in imported(tree):
         if target not in NAMES:
@@ -97,7 +97,7 @@ def parsed(path):
 
 @cache
 def nodes(tree):
-    """All nodes of a syntax tree, which several tests look through."""
+    """Return all nodes of a syntax tree, which several tests use."""
     return tuple(ast.walk(tree))
 
 
@@ -109,7 +109,7 @@ def forget_trees():
 
 
 def offenders(paths, problems):
-    """File -> what is wrong with it, for the files with which something is."""
+    """Return what is wrong with each file, for files with problems."""
     found = {named(path): list(problems(path)) for path in paths}
     return {name: wrong for name, wrong in found.items() if wrong}
 

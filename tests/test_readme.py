@@ -1,4 +1,4 @@
-"""The README's commands and lines do what it says."""
+"""The README's commands and code do what it says."""
 
 import json
 import re
@@ -54,7 +54,7 @@ def test_packages_are_there_after_one_import():
 
 
 def test_options_of_files_are_those_of_the_page_of_commands():
-    """Which command takes which of --json, --report and --save."""
+    """Check which commands take --json, --report and --save."""
     words = COMMANDS.split("All commands take `--json`")[1].split("hides progress")[0]
     saving, none = words.split("`--save` writes")[1].split(";")
     commands = {
@@ -118,7 +118,7 @@ def test_diagram_of_the_readme_runs(tmp_path, monkeypatch):
     ],
 )
 def test_figures_of_real_robots_are_those_that_were_measured(row, before, after, mass):
-    """The table and the page of benchmarks are of one run."""
+    """The table and the page of benchmarks come from one run."""
     measured = json.loads((README.parent / "diagrams" / "benchmarks.json").read_text())
     figures = measured["real_robots"]["figures"]
     cells = re.search(rf"^\| {row}.*", TEXT, re.M)[0].split("|")

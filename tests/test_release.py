@@ -1,4 +1,4 @@
-"""What a release consists of says the same everywhere."""
+"""All parts of a release agree."""
 
 import re
 import tomllib
@@ -27,7 +27,7 @@ CONDA = {"matplotlib": "matplotlib-base", "mujoco": "mujoco-python"}
 
 
 def test_the_recipe_needs_what_the_package_needs():
-    """The same packages from the same versions on; Drake, which conda has not, comes by pip."""
+    """Packages and versions are the same; Drake, which conda lacks, comes by pip."""
     stated = yaml.safe_load(text_of("conda/recipe.yaml"))
     needed = {}
     for each in (*PROJECT["dependencies"], f"python{PROJECT['requires-python']}"):

@@ -1,4 +1,4 @@
-"""Two masses, motor and link, with a spring or play between them: a model, and logs by scipy."""
+"""Motor and link with a spring or backlash between them: a model, and logs by SciPy."""
 
 import dataclasses
 from functools import cache
@@ -26,7 +26,7 @@ URDF = f"""
 
 
 def having(model, rotor, friction, *more):
-    """A model with rotors and friction at all joints, and further effects."""
+    """Return a model with rotors and friction at all joints, and further effects."""
     pairs = [(effects.RotorInertia(j), rotor) for j in model.joints]
     pairs += [(effects.ViscousFriction(j), friction) for j in model.joints]
     fitted = (effects.FittedEffect(e, np.array([value])) for e, value in (*pairs, *more))
@@ -34,7 +34,7 @@ def having(model, rotor, friction, *more):
 
 
 def springy(model, share, **shape):
-    """A pendulum with a spring of a share of the true compliance."""
+    """Return a pendulum with a spring of a share of the true compliance."""
     spring = effects.JointElasticity("hinge", **shape), share / STIFFNESS
     return having(model, ROTOR, FRICTION, spring)
 
@@ -45,7 +45,7 @@ def loose(model, share):
 
 @cache
 def swung(seed, *, stiffness=STIFFNESS, gap=0.0, noise=0.0, seconds=18.0, effort=None):
-    """A log of motor position and effort, of two masses with a spring beyond a gap, by scipy."""
+    """Return a log of motor position and effort of two masses with a spring and a gap, by SciPy."""
     rng = np.random.default_rng(seed)
     angles = _angles(rng)
     effort = effort or (lambda t: np.sin(angles(t)) @ [2.0, 2.0, 1.0])
@@ -56,10 +56,10 @@ def swung(seed, *, stiffness=STIFFNESS, gap=0.0, noise=0.0, seconds=18.0, effort
 
 @cache
 def followed(seed, servo, *, coupling=(STIFFNESS, 0.0), noise=0.0, seconds=18.0, period=4e-3):
-    """A log of motor position and command, of the same two masses under a servo, by scipy.
+    """Return a log of motor position and command of two masses under a servo, by SciPy.
 
-    They have a spring beyond a gap. The servo's integral stays where the servo is at its limit and
-    would go beyond.
+    They have a spring and a gap. The servo's integral stops where the servo is at its limit and
+    would exceed it.
     """
     rng = np.random.default_rng(seed)
     angles = _angles(rng)
@@ -82,16 +82,16 @@ def followed(seed, servo, *, coupling=(STIFFNESS, 0.0), noise=0.0, seconds=18.0,
 
 
 def _angles(rng):
-    """Angles (..., 3) of three sines at instants."""
+    """Return angles (..., 3) of three sines at instants."""
     rates, phases = rng.uniform(0.9, 1.1, 3) * [2.1, 5.3, 11.0], rng.uniform(0.0, 6.28, 3)
     return lambda t: np.multiply.outer(t, rates) + phases
 
 
 def _moved(acting, coupling, seconds, period=4e-3):
-    """Instants, and positions of the motor (N, 1), once it has swung in.
+    """Return instants and motor positions (N, 1) after a transient.
 
-    `acting` gives an effort and the rate of an integral, of time, position and speed of the motor,
-    and that integral.
+    `acting` returns an effort and the rate of an integral, from time, position and speed of the
+    motor and that integral.
     """
     stiffness, gap = coupling
 

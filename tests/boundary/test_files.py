@@ -1,4 +1,4 @@
-"""Files that are read and written whole, or refused."""
+"""Files are read and written whole, or refused."""
 
 import errno
 import os
@@ -89,7 +89,7 @@ def files_in(folder):
 
 @pytest.fixture
 def sticky(tmp_path, monkeypatch):
-    """A file of another user in a folder such as /tmp, where only its owner may replace it."""
+    """Return another user's file in a folder such as /tmp, where only its owner may replace it."""
     folder = tmp_path / "sticky"
     folder.mkdir()
     folder.chmod(0o1777)

@@ -1,4 +1,4 @@
-"""Files are read through one door: nothing else in the package opens one."""
+"""One module opens files, and nothing else in the package does."""
 
 import ast
 import re
@@ -84,7 +84,7 @@ OWN = {
 
 
 def openers(source: str) -> set[str]:
-    """Names of functions that open files, of all that a module calls."""
+    """Return the names of functions that open files among all calls of a module."""
     if not SEEN.search(source):
         return set()
     calls = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call)]

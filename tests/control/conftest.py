@@ -1,4 +1,4 @@
-"""The model of two masses, which rollouts are tried on."""
+"""The model of two masses, on which rollouts are tested."""
 
 import pytest
 from two_masses import URDF

@@ -1,4 +1,4 @@
-"""Update laws: their guarantees, in continuous time and step by step."""
+"""Guarantees of update laws, in continuous time and step by step."""
 
 from dataclasses import replace
 
@@ -102,7 +102,7 @@ def test_the_parameter_error_changes_by_what_tracking_loses(seed):
 
 
 def limits(rng, estimate):
-    """A polyhedron of all kinds of limits around a body like that of an estimate."""
+    """Return a polyhedron of all kinds of limits around a body similar to an estimate."""
     mass = estimate[0]
     com = estimate[11:14] / estimate[10]
     return intersection(
@@ -114,7 +114,7 @@ def limits(rng, estimate):
 
 
 def near(manifold, x, length, rng):
-    """A point some way from x, in a random direction."""
+    """Return a point at some distance from x in a random direction."""
     b = rng.normal(size=manifold.dimension)
     v = manifold.inverse_metric_times(x, b)
     return manifold.retract(x, v * (length / np.sqrt(b @ v)))
@@ -168,7 +168,7 @@ def test_limits_that_no_body_meets_are_reported():
 
 
 def centre_in_ball(radius):
-    """‖h‖ ≤ radius m of the first body: the centre of mass in a ball, a curved convex set."""
+    """Return a curved convex set: ‖h‖ ≤ radius m of the first body."""
 
     def value(p):
         return np.linalg.norm(p[1:4]) - radius * p[0]
@@ -301,7 +301,7 @@ def test_it_is_natural_adaptation_on_the_submanifold(seed, size):
 
 
 def test_a_load_is_learned_while_the_rest_stays():
-    """[Lee2019] §5.5.2: V never rises, and no bit of what is known changes."""
+    """By [Lee2019] §5.5.2, V never rises; known parameters do not change at all."""
     start = np.where(BODY, perturbed(0.15), TRUTH)
     controller = PassivityBasedAdaptiveController(
         CONTROL, partial(0.05), parameters=start, truth=TRUTH, time_step=2e-3

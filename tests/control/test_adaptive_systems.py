@@ -1,4 +1,4 @@
-"""Adaptive controllers in Drake diagrams: guarantees, the life of a system, and faults."""
+"""Adaptive controllers in Drake diagrams: guarantees, states, and faults."""
 
 from dataclasses import replace
 
@@ -79,7 +79,7 @@ GAINS = {"varying": VaryingGains(8.0), "fixed": FixedGains([8.0, 4.0], [6.0, 7.0
     ],
 )
 def test_lyapunov_value_never_rises(law, gains, time_step):
-    """[Lee2019] Proposition 5.7 and Remark 5.1, by Drake's own dynamics with Drake's friction."""
+    """Check [Lee2019] Proposition 5.7 and Remark 5.1 with Drake's own dynamics and friction."""
     laws = {
         "natural": natural(),
         "euclidean": euclidean_adaptation(len(TRUTH), 50.0),
@@ -98,7 +98,7 @@ def test_lyapunov_value_never_rises(law, gains, time_step):
     ("gains", "fault"), [("varying", None), ("varying", nothing), ("fixed", infinite)]
 )
 def test_the_compiled_step_is_the_one_step_by_step(monkeypatch, gains, fault):
-    """Steps with faults and limits of efforts too, which are made one by one."""
+    """The uncompiled step handles each fault and limit of efforts one by one."""
     found = []
     for compiled in (True, False):
         if not compiled:
@@ -119,7 +119,7 @@ def test_the_compiled_step_is_the_one_step_by_step(monkeypatch, gains, fault):
 
 
 def test_lyapunov_value_of_computed_torque():
-    """½ eᵀ P e + γ D with the acceleration of the plant itself."""
+    """The value is ½ eᵀ P e + γ D, with the acceleration of the plant itself."""
     controller = computed(natural(0.02), time_step=0.0, rate=6.0)
     _, logs = run(controller, 0.8)
     V = logs["lyapunov"].ravel()
@@ -184,13 +184,13 @@ STEP = 2e-3
 
 
 def predicting(prediction, make=passive, law=LAW, **options):
-    """A controller that adapts the last body by what it predicts."""
+    """Return a controller that adapts the last body by its prediction error."""
     options = {"parameters": WRONG, "time_step": STEP, **options}
     return make(law, prediction=prediction, **options)
 
 
 def told(system, state, desired=(0.0,) * 4, acceleration=(0.0,) * 2, context=None, effort=None):
-    """The Context of a controller a sample later."""
+    """Return the Context of a controller a sample later."""
     measured = {} if effort is None else {"effort": effort}
     states = {"estimated_state": state, "desired_state": desired}
     context = fixed(system, context, **states, desired_acceleration=acceleration, **measured)
@@ -208,7 +208,7 @@ def test_an_exact_sensor_of_efforts_says_what_the_controller_knows():
 
 
 def test_what_is_remembered_is_not_undone():
-    """Computed torque from a wrong estimate: errors are less by far, and D never rises."""
+    """From a wrong estimate, computed torque reduces errors by far, and D never rises."""
     worst = []
     for memory in (0.0, 1.0):
         error = PredictionError(1.0, alone=True, memory=memory)
@@ -223,7 +223,7 @@ def test_what_is_remembered_is_not_undone():
 
 
 def test_efforts_that_are_not_measured_move_nothing():
-    """Tracking goes on to adapt by itself, and the filter leaves the samples out."""
+    """Tracking continues to adapt, and the filter omits the samples."""
     ends = []
     for prediction in (
         None,
@@ -250,7 +250,7 @@ GAMMA = {"varying": 0.02, "fixed": 0.02, "filtered": 0.02, "accelerated": 0.2}
 
 
 def controller(kind, **options):
-    """A controller of one of the kinds, with effort limits above what the motion needs."""
+    """Return a controller of a kind, with effort limits that the motion does not reach."""
     options = {"time_step": 2e-3, "safeguards": STRONG, **options}
     if kind in ("varying", "fixed"):
         gains = {"gains": FixedGains([6.0, 3.0], [6.0, 7.0])} if kind == "fixed" else {}
@@ -260,7 +260,7 @@ def controller(kind, **options):
 
 
 def check(logs):
-    """Everything is finite, within the limits, and every estimate physical."""
+    """Check that all numbers are finite and within the limits, and every estimate is physical."""
     check_estimates(logs)
     assert (logs["parameters"][:, CONTROL.num_inertial :] > 0).all()
     assert (np.abs(logs["actuation"]) <= LIMITS + 1e-9).all()
@@ -355,7 +355,7 @@ PATIENCE, GROWTH = 3.5, 3.0  # s until tracking is as before, and times the esti
 
 
 def interrupted(kind, law, model):
-    """A interrupted of one of both kinds, and the distance of its estimates from the truth."""
+    """Return an interrupted loop, and the distance of its estimates from the truth."""
     control, manifold = ControlModel.of(model), parameter_manifold(model)
     options = {
         "time_step": 2e-3,
@@ -384,7 +384,7 @@ def interrupted(kind, law, model):
     ],
 )
 def test_a_second_of_faults_ruins_no_estimate(kind, law, friction, fault):
-    """Of all kinds and faults; hours of them, with other seeds, are in the benchmark of soaking."""
+    """The benchmark `adaptive_soak` runs hours of all faults with other seeds."""
     model = MODEL if friction else replace(MODEL, effects=())
     system = interrupted(kind, law, model)
     episode, end = Episode(fault, BEGIN, STOP), STOP + PATIENCE + 0.5
@@ -455,7 +455,7 @@ def test_no_frame_matters_to_limits_about_a_model():
 
 
 def test_leakage_takes_the_estimate_to_the_model():
-    """D(p₀‖p̂) falls by σ (D(p₀‖p̂) + D(p̂‖p₀)) h in a step of h, beside what b does."""
+    """Besides the effect of b, D(p₀‖p̂) falls by σ (D(p₀‖p̂) + D(p̂‖p₀)) h in a step h."""
     p, b, h = perturbed(0.2), 1e-9 * np.ones(len(TRUTH)), 1e-4
     law = replace(natural(0.3), leakage=2.0, toward=TRUTH)
     before = MANIFOLD.divergence(TRUTH, p)

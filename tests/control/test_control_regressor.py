@@ -64,7 +64,7 @@ class Case:
         return RigidSample.at(self.tree, *states.values())
 
     def coriolis_matrix(self):
-        """C(q, q̇), from efforts at unit reference velocities."""
+        """Return C(q, q̇) from efforts at unit reference velocities."""
         still = np.zeros(len(self.v))
         at_rest = self.sample(v=still, a=still).effort(self.phi)
         columns = [self.sample(v=unit, a=still).effort(self.phi) for unit in np.eye(len(still))]
@@ -77,7 +77,7 @@ class Case:
         return context
 
     def rate(self, function):
-        """Rate of a function of (q, q̇) along the motion with the acceleration a, to O(h⁴)."""
+        """Return the rate of a function of (q, q̇) along a motion with acceleration a, to O(h⁴)."""
         qdot = self.plant.MapVelocityToQDot(self.context(), self.qd)
         h = 1e-3 / (1.0 + np.abs(qdot).max())
 

@@ -1,4 +1,4 @@
-"""Servos against closed forms, MuJoCo and SciPy; clones, slopes and gains of all systems."""
+"""Servos against closed forms, MuJoCo and SciPy; clones, gradients and gains of all systems."""
 
 from dataclasses import replace
 
@@ -64,7 +64,7 @@ def seen(system, **inputs):
 
 
 def everything(system, context):
-    """All outputs, and rates."""
+    """Return all outputs and time derivatives."""
     ports = (system.get_output_port(i) for i in range(system.num_output_ports()))
     parts = [np.atleast_1d(port.Eval(context)) for port in ports]
     return np.concatenate([*parts, system.EvalTimeDerivatives(context).CopyToVector()])
@@ -116,7 +116,7 @@ def test_mujoco_s_position_actuators(values, kp, kv, limit):
 
 
 def test_a_servo_moves_a_plant_as_the_differential_equation_says(arm):
-    """Command along a ramp, servo with an integral; friction and rotor in the model, by SciPy."""
+    """SciPy integrates a ramp, a servo with an integral, friction and rotor."""
     kp, kd, ki = 60.0, 4.0, 30.0
     builder = DiagramBuilder()
     robot = arm.add_to_builder(builder)
@@ -212,7 +212,7 @@ OTHER = {4: INPUTS["estimated_state"], 2: RNG.normal(size=2), 22: START}  # by s
 
 
 def filled(system, changed="", values=None):
-    """A Context with all inputs, of which one may have other values."""
+    """Return a Context with all inputs, of which some may have other values."""
     context, smooth = system.CreateDefaultContext(), values is not None and values.dtype == object
     for i in range(system.num_input_ports()):
         port = system.get_input_port(i)
@@ -227,7 +227,7 @@ def filled(system, changed="", values=None):
 
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_clones_and_slopes(name):
-    """A clone does the same, and slopes are those of differences."""
+    """Clones have the same outputs, and gradients equal differences."""
     system = SYSTEMS[name]
     clone, smooth = system.Clone(), system.ToAutoDiffXd()
     assert type(clone) is type(system)

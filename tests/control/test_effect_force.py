@@ -1,4 +1,4 @@
-"""Effects in Drake simulations, against closed forms, scipy and Drake's own inertias."""
+"""Effects in Drake simulations, against closed forms, SciPy and Drake's own inertias."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ TOOL = SpatialInertia(0.7, [0.01, 0.02, 0.05], UnitInertia.SolidBox(0.2, 0.3, 0.
 
 
 def acceleration(plant, q, v, u, terms=(), **options):
-    """v̇ of a plant that carries effects, through the plant's own dynamics."""
+    """Return v̇ of a plant that carries effects, by the plant's own dynamics."""
     builder = DiagramBuilder()
     builder.AddSystem(plant)
     if terms:
@@ -135,7 +135,7 @@ class TestSimulation:
 
 class TestSystem:
     def test_users_effect_that_says_nothing_of_time(self):
-        """It is given the time as the catalogue's effects are that declare it."""
+        """It gets the time as do effects of the catalogue that declare it."""
 
         class Fading(effects.JointEffect):
             name = "fading"
@@ -205,7 +205,7 @@ STATE, EFFORT = RNG.normal(size=6), 5.0 * RNG.normal(size=3)
 
 
 def diagram_with(terms):
-    """A diagram with the effort as its input, and its EffectForce."""
+    """Return a diagram with the effort as its input, and its EffectForce."""
     builder = DiagramBuilder()
     plant = builder.AddSystem(arm())
     force = EffectForce.AddToBuilder(builder, plant, terms, sign_width=0.3)
@@ -299,7 +299,7 @@ def test_slopes_with_effect_parameters(terms):
 
 
 def test_parameters_of_a_context_count():
-    """New inertias and effects without a new diagram, as if it had been built with them."""
+    """New inertias and effects in a Context equal a new diagram with them."""
     rotor, wet = effects.RotorInertia("joint2"), effects.ViscousFriction("joint1")
     diagram, force = diagram_with([(rotor, [0.1]), (wet, [0.5])])
     context = context_at(diagram)
@@ -338,7 +338,7 @@ def test_parameters_that_cannot_be_are_refused():
 
 
 def test_a_joint_without_a_temperature_is_as_warm_as_its_reference():
-    """In floats and in AutoDiff alike; the other joint has a course."""
+    """Compare floats and AutoDiff; the other joint has a temperature."""
     times, warmth = np.array([0.0, 10.0]), np.array([40.0, 40.0])
     terms = [(effects.ThermalFriction(f"joint{i}", 25.0), [-0.02, -0.01]) for i in (2, 3)]
     temperatures = Temperatures({"joint3": (times, warmth)})

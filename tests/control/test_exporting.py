@@ -1,4 +1,4 @@
-"""Models through files and back, by other engines and by geodrake, and the proof of an export."""
+"""Models written to files and read back, by other engines and geodrake, and the export check."""
 
 import json
 import re
@@ -126,7 +126,7 @@ def loaded(folder, kind):
 
 
 def fitted(model, *, springs):
-    """The model with friction, rotors, a payload, and springs at other values than the file's."""
+    """Return the model with friction, rotors, a payload, and other springs than the file's."""
     a, b = model.joints
     body = model.bodies[-1]
     effects = [
@@ -154,7 +154,7 @@ def motion(model, count=60, seed=0):
 
 
 def exported(model, to, folder, motions=()):
-    """The first of the files in a folder, what they lack, and the notes in one line."""
+    """Return the first file in a folder, what the files lack, and the notes in one line."""
     form = export_format(to)
     held, lost = held_by(model, form.holding(model), motions)
     folder.mkdir(exist_ok=True)
@@ -165,7 +165,7 @@ def exported(model, to, folder, motions=()):
 
 
 def drake_effort(path, moved):
-    """Inverse dynamics by Drake alone, free roots welded."""
+    """Return inverse dynamics by Drake alone, with free roots welded."""
     plant = MultibodyPlant(time_step=0.0)
     parser = Parser(plant)
     parser.package_map().PopulateFromFolder(str(path.parent))
@@ -177,7 +177,7 @@ def drake_effort(path, moved):
 
 
 def dry(model, moved):
-    """Efforts of dry friction alone."""
+    """Return efforts of dry friction alone."""
     effort = np.zeros_like(moved.v)
     for each in model.effects:
         if isinstance(each.effect, CoulombFriction):
@@ -207,7 +207,7 @@ def test_drake_computes_the_same_from_the_files(kind, to, tmp_path):
 
 
 def drakes_spring(text):
-    """A spring of Drake's at joint a, as URDF or SDF writes it."""
+    """Return a spring of Drake at joint a, as URDF or SDF."""
     stated = {"joint": ("name", "a"), "nominal_angle": ("value", "1"), "stiffness": ("value", "9")}
     inside = "".join(text.format(f"drake:revolute_spring_{k}", *x) for k, x in stated.items())
     return f"<drake:revolute_spring>{inside}</drake:revolute_spring>"
@@ -260,7 +260,7 @@ def test_mujoco_computes_the_same_from_the_file(tmp_path):
 
 
 def test_a_robot_goes_through_all_formats_and_back(tmp_path):
-    """Each export is the model of the next one; what every format holds is there at the end."""
+    """Each export is read for the next one; the last has what every format can hold."""
     model = fitted(loaded(tmp_path, "urdf"), springs=False)
     moved = motion(model)
     ours = model.effort(moved)
@@ -352,7 +352,7 @@ def test_gravity_and_springs_of_a_time_constant_are_those_of_the_model(to, tmp_p
 
 
 def followed_in_mujoco(path, model, moved):
-    """Efforts (N, n) at the leaders, along whose motion the equalities do no work."""
+    """Return efforts (N, n) at the leaders, along whose motion the equalities do no work."""
     theirs, J = mujoco.MjModel.from_xml_path(str(path)), model.coordinates.constant
     assert theirs.neq == 1
     whole = model.plant_positions(moved.q), moved.v @ J.T, moved.vd @ J.T
@@ -503,7 +503,7 @@ def hinged(folder, before="", after="", *, text=None):
 
 
 def servoed(model, delay=DELAY, effects=()):
-    """The model with a servo at its second joint."""
+    """Return the model with a servo at its second joint."""
     signal = EffortSignal(
         model.joints[1], "command", 30.0, damping=2.0, delay=delay, limit=20.0, deviation=1.0
     )
@@ -668,7 +668,7 @@ def test_the_proof_sees_wrong_actuators(old, new, tmp_path):
 
 
 def test_a_joint_that_had_no_motor_in_logs_gets_none(tmp_path):
-    """The saved model says so, next logs are read so, and no file gives the joint a motor."""
+    """The saved model says so for further logs, and no file gives the joint a motor."""
     model = replace(hinged(tmp_path, text=HINGES), motorless=("a",), effects=(delayed(-0.02),))
     save_model(model, tmp_path / "model.yaml")
     model = load_model(tmp_path / "model.yaml")
@@ -692,7 +692,7 @@ def test_a_joint_that_had_no_motor_in_logs_gets_none(tmp_path):
 
 
 def test_a_joint_that_dry_friction_holds_does_not_creep(tmp_path):
-    """By MuJoCo's defaults joints creep under a load that friction holds."""
+    """With MuJoCo's defaults, joints creep under a load that friction holds."""
     friction = [FittedEffect(CoulombFriction(joint), np.array([4.0])) for joint in "ab"]
     model = replace(hinged(tmp_path, text=HINGES), effects=tuple(friction))
     engine = mujoco.MjModel.from_xml_path(str(exported(model, "mjcf", tmp_path / "out")[0]))
@@ -718,7 +718,7 @@ LINK = """<link name="{0}"><inertial><origin xyz="0 0.02 0.2"/><mass value="2"/>
 
 @pytest.fixture
 def chain(tmp_path):
-    """A robot with the joints and the hand that the instances of effects name."""
+    """Return a robot with the joints and the hand that the instances of effects name."""
     names = ("arm", "shoulder", "base", "0 1 0"), ("forearm", "elbow", "arm", "1 0 0")
     links = "".join(LINK.format(*n) for n in (*names, ("hand", "wrist", "forearm", "0 0 1")))
     path = tmp_path / "chain.urdf"
@@ -866,7 +866,7 @@ def test_files_are_what_colcon_and_pluginlib_read(model, folder):
 
 
 def test_cmake_takes_the_lists(folder, tmp_path):
-    """The syntax, with packages of ROS that do nothing."""
+    """Check the syntax with empty packages of ROS."""
     cmake = shutil.which("cmake")
     if cmake is None:
         pytest.skip("there is no CMake")

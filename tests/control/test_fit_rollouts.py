@@ -1,4 +1,4 @@
-"""Fits by rollouts: soft joints, play and servos, of logs by SciPy and MuJoCo."""
+"""Fits by rollouts of elastic joints, backlash and servos, to logs by SciPy and MuJoCo."""
 
 import dataclasses
 import json
@@ -31,7 +31,7 @@ from geodrake.report.views import numbers_of
 
 
 def departures(case):
-    """In the diagram and near the motion, window by window."""
+    """Return departures in the diagram and near the motion, window by window."""
     passages = chosen_passages(case, 0.4, 2)
     made = simulations(Conditions(case, False), passages)(case.options.logs[0].name)
     for passage in passages:
@@ -44,7 +44,7 @@ def rms(departure):
 
 
 def test_near_the_motion_is_as_in_the_diagram(pendulum):
-    """Play, too: both begin with links where the motion before leaves them in their dead bands."""
+    """With backlash, both begin with links where the preceding motion leaves them."""
     for model, log, share, least in (
         (soft_arm(0.8), arm_log(2000.0, seconds=5.0), 0.12, 1e-4),
         (loose(pendulum, 1.0), swung(0), 0.03, 0.2 * GAP),
@@ -120,7 +120,7 @@ def test_blocks_and_logs_are_held_out_whole():
 
 
 def test_what_is_known_of_other_parameters_stays(pendulum):
-    """As for a compliance that is given: nothing of it varies with the others any more."""
+    """A fixed compliance does not correlate with the others any more."""
     model = springy(pendulum, 0.8)
     rng = np.random.default_rng(0)
     root = rng.standard_normal((13, 13))
@@ -141,7 +141,7 @@ PD = EffortSignal("hinge", "command", 100.0, damping=6.0, delay=0.013)
 
 
 def servoed(model, share, *servos):
-    """A pendulum with a spring of a share of the true compliance, and servos."""
+    """Return a pendulum with servos and a spring of a share of the true compliance."""
     return dataclasses.replace(springy(model, share), effort_signals=servos)
 
 
@@ -161,7 +161,7 @@ UNSURE = dataclasses.replace(PD, deviation=10.0, damping_deviation=0.6)
 
 
 def test_a_servo_and_its_motor_are_found_with_a_spring(pendulum):
-    """All that is not exact, and the delay; nothing that may be of either sign."""
+    """Fit all inexact parameters, and the delay, some of either sign."""
     wrong = dataclasses.replace(UNSURE, gain=80.0, damping=4.8)
     model = servoed(pendulum, 1.5, wrong)
     *motor, spring = model.effects
@@ -228,7 +228,7 @@ def log():
 
 @pytest.fixture(scope="module")
 def fit(model, log):
-    """Of one log, cut in two."""
+    """Fit one log, cut in two."""
     half, columns = len(log) // 2, ("time", "position", "effort", "command")
     parts = {"a": slice(half), "b": slice(half, None)}
     logs = [

@@ -1,4 +1,4 @@
-"""Online estimation: filtered rows, updates, the estimator, and players of logs."""
+"""Online estimation: filtered rows, updates, the estimator, and log players."""
 
 import inspect
 from collections import defaultdict
@@ -62,7 +62,7 @@ UPDATE = SampleUpdate(MANIFOLD, np.full(2, 0.005))
 
 
 def recorded(duration=4.0, truth=TRUTH, gap=()):
-    """A log of the double pendulum along a motion, with exact efforts of some parameters."""
+    """Return a log of the double pendulum along a motion, with exact efforts of some parameters."""
     time = STEP * np.arange(round(duration / STEP) + 1)
     q, v, a = states_along(time)
     rows = zip(q, v, a, strict=True)
@@ -74,7 +74,7 @@ def recorded(duration=4.0, truth=TRUTH, gap=()):
 
 
 def estimated(log, *, start=TRUTH, sensor=None, update=UPDATE, every=1):
-    """What an estimator makes of a log: times, and its outputs then."""
+    """Return times and outputs of an estimator for a log."""
     builder = DiagramBuilder()
     source = builder.AddSystem(LogSource(log, MODEL.joints))
     system = builder.AddSystem(
@@ -100,14 +100,14 @@ def estimated(log, *, start=TRUTH, sensor=None, update=UPDATE, every=1):
 
 
 def unexplained(p):
-    """RMS of the effort along the motion that an estimate does not explain, N·m."""
+    """Return the RMS of the effort along the motion that an estimate does not explain, N·m."""
     rows = zip(*states_along(np.arange(0.0, 4.0, 0.02)), strict=True)
     left = [CONTROL.at(q, v, v, a).regressor @ (p - TRUTH) for q, v, a in rows]
     return np.sqrt(np.mean(np.square(left)))
 
 
 def test_the_estimate_explains_what_is_measured():
-    """Exact projections by default, each with a certificate, go farther than nudges."""
+    """Exact projections, the default, have a certificate and go farther than single steps."""
     start, fallen = perturbed(0.3), {}
     for method in ("projection", "nudge"):
         update = SampleUpdate(MANIFOLD, np.full(2, 0.005), method=method)
@@ -125,7 +125,7 @@ def test_the_estimate_explains_what_is_measured():
 
 @pytest.mark.parametrize("fault", [None, nothing, "frozen"])
 def test_the_compiled_update_is_the_one_step_by_step(monkeypatch, fault):
-    """While a sensor fails the estimate stays, and goes on after it."""
+    """The estimate stays while a sensor fails, and continues after it."""
     found = []
     for compiled in (True, False):
         if not compiled:
@@ -207,7 +207,7 @@ def test_logs_that_cannot_be_played():
 
 
 def compared(log, filtered):
-    """Residuals of a log, and which of them are valid, every 0.02 s."""
+    """Return residuals of a log every 0.02 s, and which of them are valid."""
     builder = DiagramBuilder()
     source = builder.AddSystem(LogSource(log, MODEL.joints))
     system = builder.AddSystem(ModelResidual(CONTROL, filtered=filtered))
@@ -220,7 +220,7 @@ def compared(log, filtered):
 
 
 def test_the_residual_is_what_the_model_lacks():
-    """Friction of 0.5 N·m·s/rad that the model does not have, low-passed; nothing in a gap."""
+    """It is low-pass filtered friction of 0.5 N·m·s/rad, and invalid in a gap."""
     more = TRUTH.copy()
     more[20] += 0.5
     log = recorded(2.0, more, gap=(500, 600))
@@ -250,7 +250,7 @@ def systems_with_all_ports():
 
 
 def test_docstrings_name_the_ports():
-    """The block that Drake's documentation is made of, against the ports that there are."""
+    """Compare the block diagrams of Drake's documentation with the ports."""
     ports = defaultdict(lambda: (set(), set()))
     for system in systems_with_all_ports():
         inputs, outputs = ports[type(system)]
@@ -291,7 +291,7 @@ MIXED = Product(
 
 
 def inside(rng, size=0.3):
-    """A point of MIXED."""
+    """Return a point of MIXED."""
     bodies = [perturbed(size, int(rng.integers(1 << 30)))[:10] for _ in range(2)]
     others = [np.exp(rng.normal(size=2)), [rng.uniform(-0.9, 1.9), rng.uniform(-3, 0.9)]]
     return np.concatenate(
@@ -300,7 +300,7 @@ def inside(rng, size=0.3):
 
 
 def samples(count=1500):
-    """Positions, velocities and Drake's own efforts (with damping) along a motion, (N, 2) each."""
+    """Return positions, velocities and Drake's damped efforts along a motion, (N, 2) each."""
     q, v, a = states_along(SHORT_STEP * np.arange(count))
     return q, v, inverse_dynamics(pendulum_plant(), q, v, a)
 
@@ -310,7 +310,7 @@ def samples(count=1500):
 
 @pytest.mark.parametrize("order", [1, 3])
 def test_filtered_rows_are_the_filtered_efforts(order):
-    """Against scipy's filter of Drake's efforts, without any acceleration."""
+    """Compare with SciPy's filter of Drake's efforts, without accelerations."""
     q, v, effort = samples()
     filtered = FilteredRegressor(CONTROL, SHORT_STEP, 15.0, order)
     memory, rows = filtered.start(), []
@@ -331,7 +331,7 @@ def test_filtered_rows_are_the_filtered_efforts(order):
 
 
 def slabs(rng, rows=3, size=0.3):
-    """An estimate, rows and their values, tolerances, and a truth inside of the slabs."""
+    """Return an estimate, rows with values and tolerances, and a truth inside the slabs."""
     x, truth = inside(rng, size), inside(rng, size)
     Y = rng.normal(size=(rows, MIXED.dimension))
     tolerance = rng.uniform(0.01, 0.5, rows)
@@ -341,7 +341,7 @@ def slabs(rng, rows=3, size=0.3):
 @settings(max_examples=15)
 @given(st.integers(0, 2**31), st.integers(1, 6), st.sampled_from([0.3, 0.5, 1.0]))
 def test_no_step_leads_away_from_the_truth(seed, rows, relaxation):
-    """D(p‖y) ≤ D(p‖x) if p is in the slabs, whatever share is carried out."""
+    """D(p‖y) ≤ D(p‖x) if p is in the slabs, for any share of the step."""
     x, Y, effort, tolerance, truth = slabs(np.random.default_rng(seed), rows)
     y = slab_step(MIXED, x, Y, effort, tolerance, relaxation=relaxation)
     before = MIXED.divergence(truth, x)

@@ -52,13 +52,13 @@ ARM, PENDULUM = MODELS / "arm6.urdf", MODELS / "double_pendulum.urdf"
 
 @pytest.fixture(scope="module")
 def plain():
-    """A log of an arm without hidden effects."""
+    """Return a log of an arm without hidden effects."""
     return effort_log("arm6", 2, share=0.0, duration=6.0).log
 
 
 @pytest.fixture(scope="module")
 def frictional():
-    """A log of a pendulum with friction, and the model that has it."""
+    """Return a log of a pendulum with friction, and the model that has it."""
     sizes, model = {"shoulder": 0.3, "elbow": 0.15}, load_model(PENDULUM)
 
     def friction(seen):
@@ -74,7 +74,7 @@ def frictional():
 
 
 def test_the_true_model_stays_with_the_motion(plain):
-    """Pinocchio's efforts along a motion take Drake's robot along it."""
+    """Pinocchio's efforts move Drake's robot along the motion."""
     rollout = roll_out(load_model(ARM), [plain], most=6)
     assert rollout.relative < 2e-3
     assert rollout.broken == 0
@@ -130,12 +130,12 @@ LOSS = (effects.ViscousFriction("hinge"), [0.1])
 
 
 def drive(t):
-    """Effort of the motor, N·m."""
+    """Return the effort of the motor, N·m."""
     return 3.0 * np.sin(2.1 * t) + 1.5 * np.sin(5.3 * t + 1.0)
 
 
 def swung(name, needed, rate=lambda t, v, z: 0.0, *, start=(0.1, 0.0, 0.0), seconds=8.0):
-    """A log of I q̈ + m g l sin q + needed(t, q, v, z) = drive(t), with ż = rate(t, v, z).
+    """Return a log of I q̈ + m g l sin q + needed(t, q, v, z) = drive(t), with ż = rate(t, v, z).
 
     The motion starts with (q, v, z), and the log's first time stamp is FIRST_STAMP.
     """
@@ -153,7 +153,7 @@ def swung(name, needed, rate=lambda t, v, z: 0.0, *, start=(0.1, 0.0, 0.0), seco
 
 
 def departure(model, *logs, having=(), most=2):
-    """Departure of the pendulum with these effects beside its loss."""
+    """Return the departure of the pendulum with these effects and its friction."""
     fitted = (effects.FittedEffect(effect, np.array(values)) for effect, values in (LOSS, *having))
     robot = dataclasses.replace(model, effects=tuple(fitted))
     return roll_out(robot, logs, most=most, bandwidth=8.0).relative
@@ -178,7 +178,7 @@ def test_friction_of_a_hinge_is_that_of_the_temperatures_in_the_log(pendulum):
 
 
 def test_contact_acts_in_its_log_and_at_its_time(pendulum):
-    """A push of the rod's end along x, in the second of two logs alone."""
+    """The rod's end is pushed along x, in the second of two logs alone."""
     push, start, end = 12.0, 1.5, 6.5
 
     def pushed(t, q, v, z):
@@ -200,7 +200,7 @@ def test_contact_acts_in_its_log_and_at_its_time(pendulum):
 
 @dataclasses.dataclass(frozen=True)
 class Unbent(effects.Hysteresis):
-    """Bristles that start unbent wherever a simulation does."""
+    """Bristles that start undeflected in every simulation."""
 
     def states_along(self, motion):
         return np.zeros((len(motion.v), 1))
@@ -254,7 +254,7 @@ DELAY, EVERY = 0.03, 5  # s, and steps from row to row
 
 
 def told_log(seconds=8.0, seed=1):
-    """A log of commands, true efforts beside it, by Pinocchio."""
+    """Return a log of commands with true efforts, by Pinocchio."""
     rng = np.random.default_rng(seed)
     waves = rng.uniform(1.0, 6.0, (2, 3)).T, rng.uniform(0.0, 2 * np.pi, (2, 3)).T
     time = np.arange(0.0, seconds, STEP)
@@ -267,7 +267,7 @@ def told_log(seconds=8.0, seed=1):
 
 
 def knowing(model, turns=1.0):
-    """The model with its servos and effects, at motors that turn so many times as fast."""
+    """Return the model with its servos and effects, for motors that turn faster by a ratio."""
     effects, signals = [], []
     sizes = np.array([KP, KD, VISCOUS, ARMATURE]) / turns**2
     rows = zip(model.joints, LIMIT / np.abs(turns), *sizes, strict=True)
@@ -281,7 +281,7 @@ def knowing(model, turns=1.0):
 
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory):
-    """A log, and the model that knows its servos and effects."""
+    """Return a log, and the model that knows its servos and effects."""
     path = tmp_path_factory.mktemp("arm") / "arm.urdf"
     path.write_text(URDF)
     return told_log(), knowing(load_model(path))
@@ -295,7 +295,7 @@ def without_efforts(log, *joints):
 
 
 def test_servos_at_motors_behind_gears(arm):
-    """Motors that turn N times as fast need stiffness and damping over N²."""
+    """Motors that turn N times as fast need stiffness and damping divided by N²."""
     log, model = arm
     N = np.array([5.0, -3.0])
     drive = Drive(("m1", "m2"), ("a", "b"), gears(N))
@@ -338,7 +338,7 @@ def test_reports_say_what_the_model_was_under(arm):
 
 
 def test_models_on_the_way_have_their_motions(arm):
-    """Servos are known, and what the joints have beside them is added bit by bit."""
+    """Servos are known; effects at the joints are added one by one."""
     model, log = arm[1], told_log(seconds=2.5)
     logs, viscous = [without_efforts(log, "a", "b")], replace(model, effects=model.effects[::2])
     bare = replace(model, effects=(), effort_signals=())  # servos are those of the last model
@@ -359,7 +359,7 @@ def test_logs_without_commands_are_refused(arm):
 
 
 def test_steps_move_a_rigid_robot_as_drake_does(arm):
-    """With load-dependent friction, bristles, a wrong gain, integrals, a limit and a dead band."""
+    """It has load-dependent friction, bristles, a wrong gain, integrals, a limit and backlash."""
     log, model = arm
     kinds = (
         (LoadDependentFriction("a"), 0.2),

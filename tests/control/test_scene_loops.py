@@ -1,4 +1,4 @@
-"""Loops of one robot among tables and other robots, and drives that follow a motion."""
+"""Loops of one robot among tables and other robots, and motors that follow a motion."""
 
 from dataclasses import replace
 
@@ -38,7 +38,7 @@ ACTING = [
 
 
 class TestTracking:
-    """A crate that falls onto the table and another robot leave the arm's loop as it is alone."""
+    """A crate that falls onto the table and another robot do not change the arm's loop."""
 
     @pytest.mark.parametrize(
         ("make", "actuated"), [(passive, ()), (computed, ("elbow", "shoulder"))]
@@ -89,10 +89,10 @@ class TestTracking:
 
 
 class TestEffectForce:
-    """Effects of one robot in a plant, against the same on a plant of that robot alone."""
+    """Compare effects of one robot in a plant with a plant of that robot alone."""
 
     def force(self, plant, robot, q, v, u):
-        """Generalized force at random states of all else, (nv,)."""
+        """Return generalized forces (nv,) at random states of everything else."""
         system = EffectForce(robot, ACTING, sign_width=[0.1, 0.2])
         context = fixed(system, state=[*q, *v], applied_effort=u)
         return system.GetOutputPort("generalized_force").Eval(context)
@@ -123,7 +123,7 @@ class TestEffectForce:
 
 
 class TestFittedModel:
-    """`RobotModel.add_to_scene` against `add_to_builder`."""
+    """Compare `RobotModel.add_to_scene` with `add_to_builder`."""
 
     def model(self):
         model = load_model(PENDULUM)
@@ -155,7 +155,7 @@ class TestFittedModel:
         np.testing.assert_allclose(accelerations[1], accelerations[0], rtol=1e-8)
 
     def test_what_other_models_weld_to_it_stays(self):
-        """A crate on its last link, whose mass is not that of the model."""
+        """A crate on its last link keeps its mass, which is not in the model."""
         plant = plant_of(finalize=False)
         crate, arm = (plant.GetModelInstanceByName(name) for name in ("crate", "arm"))
         tip = plant.GetBodyByName("lower_link", arm)
@@ -183,7 +183,7 @@ class TestFittedModel:
 
     @pytest.mark.parametrize("in_plant", [False, True])
     def test_springs_that_the_plant_keeps_count_once(self, in_plant):
-        """Drake has no way to remove them; the model's, of a fit, are others."""
+        """Drake cannot remove them; the fitted ones of the model differ."""
         spring = FittedEffect(effects.JointSpring("elbow", center=0.2), np.array([4.0, 0.3]))
         model, q, u = replace(self.model(), effects=(spring,)), [0.4, -0.7], [0.0, 1.0]
         builder = DiagramBuilder()

@@ -1,4 +1,4 @@
-"""Soft joints, play and gears in simulations: against closed forms, motor bodies and SciPy."""
+"""Elastic joints, backlash and gears in simulations, against closed forms and SciPy."""
 
 import dataclasses
 from dataclasses import replace
@@ -41,7 +41,7 @@ def soft(stiffness):
 
 
 def driven(plant, terms=None):
-    """Logged states under a sine at both joints: of motors, where there are terms."""
+    """Return logged states under a sine at both joints, of motors where there are terms."""
     builder = DiagramBuilder()
     builder.AddSystem(plant)
     size = plant.num_velocities()
@@ -68,7 +68,7 @@ def driven(plant, terms=None):
 
 
 def test_is_a_motors_body_and_a_spring():
-    """What encoders of both motors see, and Drake's own two bodies."""
+    """Compare encoders of both motors with Drake's own two bodies."""
     terms = soft(2000.0)
     damping = EffectForce(arm(dofs=2), terms).law.soft.couplings(np.array([5e-4, MOTOR]))[0].damping
     ours, theirs = driven(arm(dofs=2), terms), driven(arm(dofs=2, spring=(2000.0, damping)))
@@ -78,7 +78,7 @@ def test_is_a_motors_body_and_a_spring():
 
 @pytest.mark.parametrize("share", [0.0, 0.05, 0.4])
 def test_two_masses_swing_at_their_frequency(share):
-    """s² + 2 ζ ω s + ω² = 0 with ω² = k (1/B + 1/M), of a link that gravity does not turn."""
+    """A link without weight swings by s² + 2 ζ ω s + ω² = 0 with ω² = k (1/B + 1/M)."""
     plant = MultibodyPlant(0.0)
     body = plant.AddRigidBody("link", LINK)
     plant.AddJoint(RevoluteJoint("joint1", plant.world_frame(), body.body_frame(), [0, 0, 1]))
@@ -100,7 +100,7 @@ def test_two_masses_swing_at_their_frequency(share):
 
 
 def test_starts_where_its_load_has_it(pendulum):
-    """With the effort that holds it, nothing moves; encoders say what they were told to."""
+    """Nothing moves under the holding effort, and encoders show the given positions."""
     model = having(pendulum, ROTOR, FRICTION, (effects.JointElasticity("hinge"), 0.02))
     builder = DiagramBuilder()
     robot = model.add_to_builder(builder)
