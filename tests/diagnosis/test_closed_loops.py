@@ -1,4 +1,4 @@
-"""Closed loops from logs to names: MuJoCo moves a four-bar, and geodrake says what it lacks."""
+"""Closed loops from logs to names: MuJoCo moves a four-bar, and geodrake names what is missing."""
 
 from dataclasses import replace
 from functools import cache
@@ -24,10 +24,7 @@ SIZES = np.array([0.5, 0.3, 0.2, 0.12, 0.1, 0.05])
 
 @cache
 def moved(text, seed, motors=("crank",), gains=(60.0,), size=1.0, seconds=8.0):
-    """MuJoCo's model, and rows of time, efforts at the motors and positions of all joints.
-
-    Its constraints are stiff.
-    """
+    """Return MuJoCo's model with stiff constraints, and rows of time, efforts and positions."""
     m, rng = mujoco.MjModel.from_xml_string(text), np.random.default_rng(seed)
     m.opt.timestep, m.opt.integrator = STEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     m.eq_solref[:], m.eq_solimp[:] = [1e-3, 1], [0.9999, 0.9999, 0.001, 0.5, 2]
@@ -46,7 +43,7 @@ def moved(text, seed, motors=("crank",), gains=(60.0,), size=1.0, seconds=8.0):
 
 
 def simulated(text, seconds=8.0, seed=0, noise=0.002, joints=("crank",)):
-    """Time, positions (N, n) of joints and efforts (N,) at the crank with noise."""
+    """Return time, positions (N, n) of joints and noisy efforts (N,) at the crank."""
     m, rows = moved(text, seed)
     time, effort, *places = rows[: int(seconds * RATE)].T
     effort = effort + noise * np.random.default_rng(seed).normal(size=len(effort))

@@ -1,4 +1,4 @@
-"""Mistakes in the columns of logs: none where they are right, else named and corrected."""
+"""Mistakes in the columns of logs are named and corrected, and none in right columns."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def pendulum():
 
 @pytest.fixture(scope="module")
 def right():
-    """A log of a double pendulum whose bodies are a tenth off, with dry and viscous friction."""
+    """Return a log of a double pendulum with friction, whose bodies are a tenth off."""
     log = effort_log("double_pendulum", 3, off=0.1, duration=12.0, share=0.01).log
     v = log.velocity
     rubbing = 0.1 * log.effort.std(0) * (np.tanh(v / 0.01) + 0.3 * v)
@@ -48,7 +48,7 @@ def right():
 
 
 def times(log, quantity, joint, factor):
-    """A log with a column multiplied."""
+    """Return a log with a column multiplied."""
     values = getattr(log, quantity).copy()
     values[:, joint] *= factor
     return replace(log, **{quantity: values})
@@ -102,7 +102,7 @@ def test_magnitudes_of_efforts_are_said_to_be_magnitudes(pendulum, right):
 
 
 def test_dry_friction_alone_is_no_limit_of_a_motor(pendulum, right):
-    """Efforts that are about the same all the time look cut off."""
+    """Nearly constant efforts resemble limited ones."""
     rng, v = np.random.default_rng(1), right.velocity
     own = 0.02 * rng.normal(size=v.shape) + 0.3 * np.tanh(v / 0.005)
     effort = np.column_stack([right.effort[:, 0], own[:, 1]])
@@ -126,7 +126,7 @@ def test_degrees_at_all_joints_are_one_mistake(pendulum, right, velocity):
 
 
 def test_another_zero_is_found_within_the_arm():
-    """At the last joint, and that of a pendulum is, it is a body that has turned: a payload."""
+    """At the last joint, another zero equals a rotated body."""
     model, log, (secret,) = make_log(
         WrongLog("another zero", "arm6", "pinocchio", "fast", 6, 9, DURATION)
     )
@@ -151,7 +151,7 @@ def test_what_is_not_of_the_columns_is_no_mistake_in_them(drawn):
 
 
 def test_a_gain_is_told_where_its_fit_has_converged(gain=0.29):
-    """Its value is that of the answer, and no other gains are told beside it."""
+    """Its value is that of the answer, and no other gains are named."""
     drawn = WrongLog("gain of a joint", "panda", "pinocchio", "point to point", 14, 9, DURATION)
     model, log, (secret,) = make_log(drawn)
     (j,) = secret.joints
@@ -200,7 +200,7 @@ class TestMeasured:
 
 @pytest.mark.parametrize(("joints", "kinds"), [(4, ["effort_sign"]), (31, [])])
 def test_robots_of_many_joints_are_not_checked(joints, kinds):
-    """What may be wrong with them is too much to weigh: that is said, and left to the fit."""
+    """Their mistakes are too many to compare; a note says so."""
     model = chain(1, joints="R" * joints)
     log = times(chain_log(model, 1, seconds=8.0, rate=50.0), "effort", 3, -1.0)
     assert [finding.kind for finding in check_columns(model, [log])] == kinds
@@ -208,7 +208,7 @@ def test_robots_of_many_joints_are_not_checked(joints, kinds):
 
 
 def test_one_log_a_joint_makes_no_mistake_likely():
-    """The usual protocol for friction: others rest, under efforts that dry friction holds."""
+    """In the usual protocol for friction, the other joints rest under dry friction."""
     rng, time = np.random.default_rng(0), np.arange(0.0, 25.0, 0.005)
     phase = 2.0 * np.pi * rng.uniform(0.1, 0.4, 3)[:, None] * time + rng.uniform(0.0, 6.0, (3, 1))
     rates = np.gradient(phase, time, axis=1)
@@ -229,7 +229,7 @@ def test_one_log_a_joint_makes_no_mistake_likely():
 
 
 def test_columns_of_a_robot_with_soft_joints_are_checked():
-    """What links give way by follows from samples in time, of which columns have none."""
+    """Deflections need samples in time, which columns do not have."""
     rng, time = np.random.default_rng(0), np.arange(0.0, 20.0, 0.005)
     q = np.sin(np.outer(time, [1.9, 3.1]))
     v, vd = [1.9, 3.1] * np.cos(np.outer(time, [1.9, 3.1])), -np.square([1.9, 3.1]) * q

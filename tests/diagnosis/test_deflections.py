@@ -1,4 +1,4 @@
-"""Elastic joints and play: efforts, columns, and what they are taken for."""
+"""Elastic joints and backlash: efforts, columns, and confusion with other effects."""
 
 import dataclasses
 from dataclasses import replace
@@ -35,7 +35,7 @@ DRY = np.array([4.0, 5.0, 3.0, 0.15, 0.15, 0.08])  # N·m
 
 
 def elastic_motion(joint, stiffness, seed, *, off=0.0, duration=24.0):
-    """Time, motor positions, velocities and accelerations, and the effort (N, n) of the links."""
+    """Return time, motion of the motors, and efforts (N, n) of the links."""
     rng, file = np.random.default_rng(seed), robot("arm6")
     plant = perturbed(file, rng, off)
     data, time = plant.createData(), np.arange(0.0, duration, 1.0 / 250.0)
@@ -48,7 +48,7 @@ def elastic_motion(joint, stiffness, seed, *, off=0.0, duration=24.0):
 
 
 def elastic_log(joint, stiffness, seed, *, friction=0.0, duration=24.0):
-    """A log of such a robot, with white noise and friction of all motors."""
+    """Return a log of such a robot with white noise and friction of all motors."""
     time, q, v, _, effort = elastic_motion(joint, stiffness, seed, off=0.2, duration=duration)
     effort = effort + friction * DRY * (np.tanh(v / 0.01) + 0.7 * v)
     rng, noise = np.random.default_rng(seed), 0.01 * effort.std(0)
@@ -60,7 +60,7 @@ def elastic_log(joint, stiffness, seed, *, friction=0.0, duration=24.0):
 
 @pytest.mark.parametrize("joint", [1, 4])
 def test_effort_of_a_stiff_joint(joint):
-    """What is left of the error is of second order in the compliance."""
+    """The remaining error is of second order in the compliance."""
     errors = []
     for stiffness in (2e4, 4e4):
         time, q, v, vd, effort = elastic_motion(joint, stiffness, 3, duration=4.0)
@@ -101,7 +101,7 @@ SIZES, PHASES = np.array([1.0, 0.6, 0.3]), np.array([0.0, 1.0, 2.0])
 
 
 def motor(t):
-    """Position, velocity and acceleration of the elbow's motor."""
+    """Return position, velocity and acceleration of the elbow's motor."""
     angle = np.multiply.outer(t, RATES) + PHASES
     return (
         np.sin(angle) @ SIZES,
@@ -111,14 +111,14 @@ def motor(t):
 
 
 def at_elbow(q, v, vd):
-    """Effort (N, 2) with the shoulder at rest."""
+    """Return efforts (N, 2) with the shoulder at rest."""
     still = np.zeros_like(q)
     return MODEL.effort(Motion(*(np.stack([still, x], 1) for x in (q, v, vd))))
 
 
 @cache
 def constants():
-    """Inertia about the elbow and the moment of the weight there, N·m."""
+    """Return the inertia about the elbow and the moment of the weight there, N·m."""
     one, none = np.ones(1), np.zeros(1)
     weight = at_elbow(one * np.pi / 2, none, none)[0, 1]
     return at_elbow(none, none, one)[0, 1] - at_elbow(none, none, none)[0, 1], weight
@@ -126,7 +126,7 @@ def constants():
 
 @cache
 def played(half_width, seconds=16.0, rate=2000.0):
-    """Time, and the link's positions, velocities and the motor's torque."""
+    """Return time, the link's positions and velocities, and the motor's torque."""
     inertia, weight = constants()
     stiffness = 4e4 * inertia
     damping = np.sqrt(stiffness * inertia)
@@ -155,12 +155,12 @@ def played(half_width, seconds=16.0, rate=2000.0):
 
 
 def smooth(values, width=400):
-    """Means over a fifth of a second."""
+    """Return means over a fifth of a second."""
     return np.convolve(values, np.hanning(width) / np.hanning(width).sum(), "valid")
 
 
 def test_effort(half_width=2e-3):
-    """The blows and pauses that scipy finds are those of the column, seen through a filter."""
+    """The filtered column has the impacts and pauses that SciPy finds."""
     time, _, torque = played(half_width)
     q, v, vd = motor(time)
     motion = Motion(*(np.stack([0.0 * q, x], 1) for x in (q, v, vd)), time)
@@ -173,7 +173,7 @@ def test_effort(half_width=2e-3):
 
 
 def test_lag_falls_freely():
-    """Under a load that changes its sign steadily: 2 h = r t³ / 6 after it did."""
+    """After a load changes its sign at a constant rate r, 2 h = r t³ / 6."""
     time = np.arange(-0.5, 0.5, 1e-3)
     lag = link_lag(1e-3, 30.0 * time, time)
     apart = (time > 0.0) & (lag < 1e-3)
@@ -203,7 +203,7 @@ def test_a_column_follows_no_noise_of_the_motion(has_slopes):
 
 @pytest.mark.thorough
 def test_noise_of_coarse_encoders_is_no_share_of_a_wide_gap():
-    """Loads of an upright axis are accelerations, whose noise is in the column and in the error."""
+    """Loads of an upright axis are accelerations, whose noise is in column and error."""
     draw = servo_draws(3, 416, hobby=True)[2]
     found = explain(servo_file(draw.robot).model, [make_servo_log(draw).log])
     assert "backlash" not in {step.effect for step in found.steps}

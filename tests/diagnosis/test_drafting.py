@@ -1,7 +1,4 @@
-"""Effects that no catalogue has: a formula is found, written out, and runs as it is.
-
-What is written is code of one meaning, whatever robots and logs are called.
-"""
+"""Effects outside the catalogue: a formula is found, written as code, and runs unchanged."""
 
 import ast
 from dataclasses import replace
@@ -64,7 +61,7 @@ def test_a_written_effect_explains(tmp_path):
 
 
 def draft_of(logs, *formulas):
-    """A draft of formulas with made-up numbers."""
+    """Return a draft of formulas with made-up numbers."""
     effects = tuple(
         DraftedEffect(each, own, own, 2.0, 1.0, 0.9, 0.0, (), own, own, own)
         for each in formulas
@@ -129,7 +126,7 @@ def test_an_offset_that_each_log_has_anew_varies_with_the_log():
 
 
 def test_nothing_is_drafted_of_noise_or_of_what_follows_the_clock():
-    """A swing at one joint, and a drift at the other."""
+    """One joint swings, and the other drifts."""
     model, recording = load_model(MODELS / "double_pendulum.urdf"), ("double_pendulum", 101)
     draft = draft_effects(model, [effort_log(*recording, duration=8.0).log])[1]
     assert draft.effects == draft.correlates == ()
@@ -145,7 +142,7 @@ def test_nothing_is_drafted_of_noise_or_of_what_follows_the_clock():
 
 
 def drafted(joints, logs):
-    """A draft with a formula for each joint, in all of them."""
+    """Return a draft with a formula for each joint."""
     terms = (FormulaTerm(tuple(Factor(j, "q") for j in joints)),)
     return draft_of(logs, *(Formula(joint, terms) for joint in joints))
 

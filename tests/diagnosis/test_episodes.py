@@ -1,4 +1,4 @@
-"""Episodes: contacts and payloads that are there for a part of a log."""
+"""Episodes: contacts and payloads during a part of a log."""
 
 import dataclasses
 import json
@@ -37,7 +37,7 @@ BRIEF = {"off": 0.2, "duration": 16.0, "rate": 125.0}
 
 
 def pushed(joint, point, force, window, *, turning=False, rise=0.015):
-    """Effort against a force (3,) along the world's axes, or the body's, at a point of that."""
+    """Return efforts against a force (3,) along the axes of the world or body, at a point."""
 
     def hidden(seen):
         start, end = window
@@ -66,10 +66,10 @@ def assert_is_saved(found, folder):
 
 
 class TestDiagnosis:
-    """Further robots, points and forces are in the benchmark of hidden effects."""
+    """The benchmark of hidden effects has further robots, points and forces."""
 
     def test_a_force_that_turns_with_its_body(self, tmp_path):
-        """As that of a jet or a tool: its components along the body's axes are constant."""
+        """The components of a jet or a tool along the body's axes are constant."""
         force = np.array([3.0, 0.0, -1.5])
         found = found_in(pushed(2, POINT, force, (8.0, 11.0), turning=True), 1, **BRIEF)
         (step,) = found.steps
@@ -144,7 +144,7 @@ def pendulum():
 
 
 def held(weight):
-    """Efforts of friction, and of a ball at the last link that weighs in at w(t)."""
+    """Return efforts of friction, and of a ball at the last link with the weight w(t)."""
 
     ball = pin.Inertia(MASS, CENTRE, 0.4 * MASS * 0.03**2 * np.eye(3))
 
@@ -162,7 +162,7 @@ def a_log(seed, weight, **options):
 
 
 def acceleration(model, time):
-    """Accelerations of a robot in a diagram at an instant, some state and efforts."""
+    """Return accelerations of a robot in a diagram at an instant, state and efforts."""
     builder = DiagramBuilder()
     robot = model.add_to_builder(builder)
     builder.ExportInput(robot.effort, "effort")
@@ -180,7 +180,7 @@ START = 6.3
 
 @pytest.fixture(scope="module")
 def picked_up(pendulum):
-    """A log in which something is picked up, and its explanation."""
+    """Return a log in which a payload is picked up, and its explanation."""
     log = a_log(1, lambda t: (t >= START).astype(float))
     return log, explain(pendulum, [log])
 
@@ -212,7 +212,7 @@ def test_found(pendulum, picked_up, tmp_path):
 
 
 def test_is_none_of_another_log(picked_up):
-    """What was found in one log changes no prediction of another, and is found there anew."""
+    """An episode of one log changes no prediction of another, where it is found anew."""
     first, quiet = picked_up[1].model, a_log(4, np.zeros_like)
     dataset = open_case(first, [quiet], candidates=False).dataset
     (effect,) = [f.effect for f in first.effects if isinstance(f.effect, TemporaryPayload)]
@@ -250,7 +250,7 @@ def test_ordinary_logs_show_none(pendulum):
 
 @pytest.mark.parametrize("time", [0.5, 1.5])
 def test_in_a_simulation(pendulum, time):
-    """The robot moves as one with a heavier link does, from when it is picked up."""
+    """From the instant of picking up, the robot moves like one with a heavier link."""
     phi = from_mass_com_inertia(MASS, CENTRE, 1e-4 * np.eye(3))
     fitted = FittedEffect(TemporaryPayload(BODY, start=1.0), phi)
     heavier = dataclasses.replace(pendulum, phi=pendulum.phi + phi * [[0.0], [1.0]])

@@ -33,9 +33,9 @@ def places(explanation):
 
 
 def in_turn(seconds=30.0, rate=100.0, noise=(0.003, 1e-5), rotors=(0.0, 0.0)):
-    """A log in which the shoulder moves for a while, and then the elbow, both with friction.
+    """Return a log in which shoulder and elbow move in turn, both with friction.
 
-    Its noise is that of efforts, N·m, and of positions, rad.
+    `noise` is that of efforts, N·m, and of positions, rad.
     """
     rng, time = np.random.default_rng(5), np.arange(0.0, seconds, 1.0 / rate)
     half = seconds / 2.0
@@ -82,7 +82,7 @@ def test_common_effects_in_turn_are_not_taken_for_rare_ones():
 
 
 def test_friction_of_joints_that_move_in_turn_is_found_and_predicted():
-    """That the elbow rubs against the shoulder, no log of joints in turn can tell."""
+    """Such a log does not show friction of the elbow against the shoulder."""
     found = explain(MODEL, [in_turn()], blocks=2)
     assert places(found) == {"coulomb_friction": {*JOINTS}, "viscous_friction": {*JOINTS}}
     assert found.end.nrms < 0.03
@@ -180,7 +180,7 @@ def test_point_masses_are_compared_as_they_are(tmp_path):
 
 
 def test_rotors_of_slow_joints_are_not_too_small_for_noise_of_positions():
-    """Accelerations are noisy: at a bandwidth that keeps all of the motion, half is found."""
+    """A bandwidth that keeps the whole motion biases them to half by noisy accelerations."""
     rng, fine, rotors = np.random.default_rng(4), 20, np.array([1.0, 0.3])
     time = np.arange(0.0, 40.0, 0.01 / fine)
     v = 0.3 * np.clip(30.0 * np.sin(time[:, None] * rng.uniform(0.5, 1.0, 2)), -1.0, 1.0)
@@ -236,7 +236,7 @@ def test_offset_and_symmetric_friction_are_simpler_than_asymmetric_friction():
 
 
 def sampled_late(steps):
-    """A log at 100 Hz of a robot with heavy rotors, its efforts late by so many steps of 1 ms."""
+    """Return a log at 100 Hz with heavy rotors, whose efforts are late by steps of 1 ms."""
     how = {"rate": 1000.0, "share": 0.003}
     log = effort_log("double_pendulum", 6, lambda seen: 0.4 * seen.a, **how).log
     late = np.vstack([log.effort[:1]] * steps + [log.effort[: len(log.effort) - steps]])
@@ -244,7 +244,7 @@ def sampled_late(steps):
 
 
 def test_efforts_that_are_late_by_a_part_of_a_sample_are_late():
-    """With heavy rotors this would look like viscous friction."""
+    """With heavy rotors, a delay resembles viscous friction."""
     found = explain(load_model(MODELS / "double_pendulum.urdf"), [sampled_late(2)])
     assert {step.effect for step in found.steps} >= {"rotor_inertia", "effort_delay"}
     (delay,) = (step for step in found.steps if step.effect == "effort_delay")
@@ -252,7 +252,7 @@ def test_efforts_that_are_late_by_a_part_of_a_sample_are_late():
 
 
 def test_efforts_that_are_late_by_a_tenth_of_a_sample_are_not():
-    """No log is more synchronous than that, as its signals are read one after the other."""
+    """Signals that are read in turn are never more synchronous."""
     found = explain(load_model(MODELS / "double_pendulum.urdf"), [sampled_late(1)])
     assert {step.effect for step in found.steps} == {"rotor_inertia"}
 
@@ -270,7 +270,7 @@ SHOULDER, ELBOW = JOINTS
 
 
 def file_with(folder, dry, wet):
-    """The pendulum, whose file states dry (2,) and viscous friction (2,)."""
+    """Return the pendulum, whose file states dry (2,) and viscous friction (2,)."""
     stated = iter(zip(dry, wet, strict=True))
 
     def with_dynamics(found):
@@ -284,7 +284,7 @@ def file_with(folder, dry, wet):
 
 
 def recorded(seed, dry=OWN_DRY, wet=OWN_WET):
-    """A log with dry friction F v / √(v² + ε²) and viscous friction."""
+    """Return a log with dry friction F v / √(v² + ε²) and viscous friction."""
 
     def friction(seen):
         return dry * seen.v / np.hypot(seen.v, 5e-3) + wet * seen.v
@@ -325,7 +325,7 @@ HEIGHT = np.array([0.1, 0.04])  # N·m
 
 
 def rubbing(seed, speed):
-    """A slow log of a pendulum whose dry friction has its full height above a speed, rad/s."""
+    """Return a slow log of a pendulum with full dry friction above a speed, rad/s."""
 
     def hidden(seen):
         return HEIGHT * erf(seen.v / speed)

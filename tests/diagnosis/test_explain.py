@@ -52,7 +52,7 @@ def places(explanation):
 
 
 def parameters(model):
-    """(effect, parameters) of a model, by name and place."""
+    """Return the parameters of a model's effects by name and place."""
     return {(f.effect.name, f.effect.where): f.parameters for f in model.effects}
 
 
@@ -61,7 +61,7 @@ def rms(errors):
 
 
 def with_friction(model):
-    """The right model."""
+    """Return the right model."""
     values = zip((CoulombFriction, ViscousFriction), ((0.2, 0.1), (0.1, 0.04)), strict=True)
     effects = [
         FittedEffect(effect(joint), np.array([value]))
@@ -80,7 +80,7 @@ def test_logs_of_a_fit_keep_its_bandwidth(fitted, logs):
 
 
 def test_compare_measures_the_hidden_effort(logs):
-    """The error of the model as it stands is the hidden effort and the noise, filtered."""
+    """The error of the unfitted model is the filtered hidden effort and noise."""
     found = compare(MODEL, logs, bandwidth=BANDWIDTH)
     assert [joint.joint for joint in found.errors.joints] == list(JOINTS)
     kernel = design_filter(1 / 200.0, BANDWIDTH).kernel
@@ -99,7 +99,7 @@ def test_compare_measures_the_hidden_effort(logs):
 
 
 def test_compare_names_where_it_fails():
-    """Extra effort while the elbow moves forwards only."""
+    """There is further effort while the elbow moves forwards."""
 
     def hidden(q, v, vd, load):
         return np.stack([np.zeros(len(q)), 0.3 * (v[:, 1] > 0)], 1)
@@ -144,7 +144,7 @@ def test_steps_tell_values_with_their_deviations(explained):
 
 
 def test_fitted_model_predicts_new_motions_and_needs_nothing_more(fitted):
-    """On a log that nobody has seen, without any fit to it."""
+    """It predicts another log without any fit to it."""
     new = [pendulum_log(51, HIDDEN)]
     errors = compare(fitted, new, bandwidth=BANDWIDTH).errors
     np.testing.assert_allclose(rms(errors), FLOOR, rtol=0.15)
@@ -155,7 +155,7 @@ def test_fitted_model_predicts_new_motions_and_needs_nothing_more(fitted):
 
 
 def test_something_that_no_effect_explains_is_said_to_be_left():
-    """Loud coloured disturbances belong to no motion: the verdict must not be that it is noise."""
+    """Loud coloured disturbances are unrelated to the motion; the verdict must not be noise."""
     log = pendulum_log(80)
     rng = np.random.default_rng(80)
     steps = 0.3 * rng.normal(size=(int(log.time[-1]) * 2 + 2, 2))
@@ -203,7 +203,7 @@ def test_diagnose_names_the_simplest_that_does():
 
 
 def test_diagnose_says_that_the_bodies_alone_are_wrong():
-    """A model whose lower link is 40 % too heavy: its frictions are not to blame."""
+    """The lower link of the model is 40 % too heavy, and its friction is right."""
     wrong = MODEL.phi.copy()
     wrong[-1] *= 1.4
     wrong, log = replace(MODEL, phi=wrong), pendulum_log(64)
@@ -239,7 +239,7 @@ def test_nothing_is_found_that_is_believed_to_be_nothing(logs):
 
 
 def test_add_puts_an_effect_where_it_is_told(logs):
-    """Once, if a place is named twice; and only the joints where it acts count."""
+    """A place that is named twice counts once; only joints where it acts count."""
     found = add("coulomb_friction", MODEL, logs, where=["elbow", "elbow"], bandwidth=BANDWIDTH)
     (step,) = found.steps
     assert (step.effect, step.where) == ("coulomb_friction", ("elbow",))
@@ -311,7 +311,7 @@ def test_add_refuses_what_is_there(logs):
 
 
 def test_add_delays_of_joints(logs):
-    """Each joint that is named gets its own, even where another one is later."""
+    """Each named joint gets its own delay, even where another one is later."""
     shifts = {"shoulder": 0.0, "elbow": 0.015}
 
     def late(log):

@@ -67,7 +67,7 @@ SHARES = np.ones(2)
 
 
 def random_problem():
-    """Random rows of two joints, as a dataset, and as columns by effect and efforts."""
+    """Return random rows of two joints, as a dataset, and as columns by effect and efforts."""
     rng = np.random.default_rng(5)
     bodies = rng.normal(size=(2, ROWS, BODIES))
     own = {effect: rng.normal(size=(2, ROWS, len(effect.parameters))) for effect in EFFECTS}
@@ -97,7 +97,7 @@ def random_problem():
 
 
 def settled(model, *effects):
-    """The fit with some effects whose noise is that of its residuals, to the last digit."""
+    """Return the converged fit with some effects, whose noise is that of its residuals."""
     own = {term.effect: term for term in model.terms if term.effect in effects}
     terms = tuple(own.values())
     assert len(terms) == len(effects)
@@ -109,7 +109,7 @@ def settled(model, *effects):
 
 
 def dense(problem, terms):
-    """Columns of all rows with some terms, prior information of their parameters, and its mean."""
+    """Return columns of all rows with some terms, and the prior information and mean."""
     _, bodies, own, _ = problem
     mean = PENDULUM.phi.ravel()
     gains = block_diag(*(bodies[j][:, :, None].swapaxes(1, 2) @ mean for j in range(2)))
@@ -122,7 +122,7 @@ def dense(problem, terms):
 
 
 def dense_evidence(problem, fit, terms):
-    """Twice the logarithm of the density of the efforts with some terms, at the noise of a fit."""
+    """Return twice the log density of the efforts with some terms, at the noise of a fit."""
     (A, known, means), effort = dense(problem, terms), problem[3]
     covariance = A @ np.linalg.inv(known) @ A.T
     covariance += np.diag(np.repeat(1.0 / fit.weights, ROWS))
@@ -131,7 +131,7 @@ def dense_evidence(problem, fit, terms):
 
 
 def prior_odds(model, fit):
-    """What a score has beside the evidence: prior odds, and shares of priors that are possible."""
+    """Return the parts of a score besides the evidence: prior odds and truncated priors."""
     shares = sum(t.log_information - np.linalg.slogdet(t.information)[1] for t in fit.terms)
     return shares - model.odds_against(fit.choice)
 
@@ -145,7 +145,7 @@ SETS = [(), OFFSETS[:1], (*OFFSETS, COMPENSATORS[1]), (RUBBING,), (RUBBING, *COM
 
 
 def test_a_score_is_the_evidence(problem):
-    """But for a constant that no explanation changes."""
+    """They differ by a constant that is the same for all explanations."""
     constants = []
     for effects in SETS:
         fit = settled(problem[0], *effects)
@@ -180,7 +180,7 @@ def test_gains_and_losses_are_differences_of_evidence(problem):
 
 
 def told(found):
-    """Probability and error of what was found, by effect and places."""
+    """Return probability and error of the findings, by effect and places."""
     return {(s.effect, frozenset(s.where)): (s.probability, s.error_after) for s in found.steps}
 
 
@@ -201,7 +201,7 @@ def test_units_of_efforts_are_none(unit=1e-3):
 
 
 def noisy_at_low_speeds(seed):
-    """Plain friction that has its full height above 0.01 rad/s, by velocities that err by more."""
+    """Return friction with full height above 0.01 rad/s, by noisier velocities."""
     coulomb, viscous = np.array([0.2, 0.1]), np.array([0.08, 0.05])
 
     def rubbing(seen):
@@ -288,7 +288,7 @@ def named(findings, name):
 
 
 def test_what_holds_at_one_joint_alone_stays_there(found):
-    """Friction of the shoulder, which it does not have, takes nothing from that of the elbow."""
+    """The shoulder has no friction, which leaves that of the elbow as it is."""
     model, was = found.model, found.fit
     known = [term for term in model.terms if term.name == "coulomb_friction"]
     both = replace(
@@ -371,7 +371,7 @@ def test_a_finding_is_the_more_likely_the_more_it_takes_beside_what_is_left(foun
 
 
 def heavier(seen, mass=0.3):
-    """Effort of a ball that the last link holds, by Pinocchio."""
+    """Return the effort of a ball that the last link holds, by Pinocchio."""
     ball = pin.Inertia(mass, np.array([0.05, 0.02, 0.1]), 1e-3 * mass * np.eye(3))
     return seen.with_body(seen.model.njoints - 1, lambda own: own + ball)
 

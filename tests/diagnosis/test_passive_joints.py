@@ -1,4 +1,4 @@
-"""Joints that no motor drives, and joints that rest."""
+"""Joints without motors, and joints at rest."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -142,7 +142,7 @@ STEP, NOISE = 1e-4, 0.05
 
 
 def braked_log(seed, *, seconds=40.0):
-    """Two joints swing; at the others efforts are off by up to 1 N·m for no reason of the model."""
+    """Return a log in which two joints swing; efforts of others are off by up to 1 N·m."""
     rng = np.random.default_rng(seed)
     robot = pinocchio.buildModelFromUrdf(str(ARM))
     data, time = robot.createData(), np.arange(0.0, seconds, 0.01)

@@ -1,9 +1,8 @@
-"""Effects that a simulated robot has and its model lacks are found, named, placed and sized.
+"""Hidden effects of a simulated robot are found, named, located and sized.
 
-A row is a hidden effort in a formula of its own, on top of Pinocchio's inverse dynamics of bodies
-that are not always those of the model file, and all that is to be found: nothing else may be named,
-and only the noise may be left. Further robots, sizes and seeds are in the benchmark of hidden
-effects.
+A row is a hidden effort in a formula of this file, on top of Pinocchio's inverse dynamics of bodies
+that may differ from the model file, and all expected findings: nothing else may be named, and only
+noise may be left. The benchmark of hidden effects has further robots, sizes and seeds.
 """
 
 import dataclasses
@@ -55,7 +54,7 @@ def sign(v):
 
 
 def at(joint, law):
-    """A hidden effort of one joint, as a function of what is seen of it."""
+    """Return a hidden effort of one joint as a function of its signals."""
 
     def hidden(seen):
         own = {name: getattr(seen, name)[:, joint] for name in ("q", "v", "a", "load")}
@@ -65,7 +64,7 @@ def at(joint, law):
 
 
 def leaning(x, y):
-    """Effort of a base that is turned about x, then y, by Pinocchio with another gravity."""
+    """Return the effort of a base rotated about x, then y, by Pinocchio with another gravity."""
 
     def hidden(seen):
         model = pin.Model(seen.model)
@@ -76,7 +75,7 @@ def leaning(x, y):
 
 
 def dragged(joint, point, drag):
-    """Effort of drag at a point of a joint's body, by Pinocchio's Jacobian of that body."""
+    """Return the effort of drag at a point of a body, by Pinocchio's Jacobian."""
 
     def hidden(seen):
         effort = np.empty_like(seen.q)
@@ -91,14 +90,14 @@ def dragged(joint, point, drag):
 
 
 def lighter(joint, factor):
-    """Effort that a robot saves with one body of a share of its mass and inertia."""
+    """Return the change of effort if one body has a share of its mass and inertia."""
     return lambda seen: seen.with_body(
         joint, lambda own: pin.Inertia(factor * own.mass, own.lever, factor * np.array(own.inertia))
     )
 
 
 def driven(seen):
-    """Drives that add more against dry friction than there is."""
+    """Return the effort of drives that compensate more dry friction than there is."""
     return [-0.25, -0.12] * sign(seen.v) + [0.4, 0.25] * seen.v
 
 
@@ -107,12 +106,12 @@ def warming(time):
 
 
 def warm_and_cold(time):
-    """°C of a gear that warms up, cools down and warms up again: time says nothing of it."""
+    """Return the temperature of a gear that warms up, cools down and warms up again, °C."""
     return 38.0 - 12.0 * np.cos(2.0 * np.pi * time / 16.0)
 
 
 def offset_of_warmth(seen):
-    """0.06 N·m/°C beside friction."""
+    """Return an offset of 0.06 N·m/°C with friction."""
     offset = 0.06 * (warming(seen.time) - 30.0)[:, None] * [0.0, 1.0]
     return 0.3 * sign(seen.v) + 0.2 * seen.v + offset
 
@@ -122,7 +121,7 @@ def friction_of_warmth(j):
 
 
 def bristles(time, v, angle, fine=20):
-    """Dahl's friction over its height, by small steps of (1 − z sgn v) dq / θ."""
+    """Return Dahl's friction over its height, by small steps of (1 − z sgn v) dq / θ."""
     z, now, step = np.sign(v), np.sign(v[0]), (time[1] - time[0]) / fine
     for k in range(1, len(v)):
         for w in np.linspace(v[k - 1], v[k], fine, endpoint=False):
@@ -135,7 +134,7 @@ TOOL = pin.Inertia(1.7, np.array([0.02, 0.0, 0.06]), 2e-3 * np.eye(3))
 
 
 def tooled(seen):
-    """A tool beside friction and rotors: bodies that grow could take it in, and so could these."""
+    """Return a tool with friction and rotors, which other bodies could imitate."""
     size, not_last = seen.load.std(0), np.arange(6) < 5
     more = seen.with_body(seen.model.njoints - 1, lambda own: own + TOOL)
     more += 0.2 * size * seen.v / np.hypot(seen.v, 2e-3) + 0.1 * size * seen.v * not_last
@@ -147,7 +146,7 @@ def rubbing(seen):
 
 
 def geared(driving, braking):
-    """Other losses in driving than in braking, beside friction."""
+    """Return friction with other losses in driving than in braking."""
 
     def hidden(seen):
         effort, v, load = rubbing(seen), seen.v[:, 0], seen.load[:, 0]
@@ -187,7 +186,7 @@ class Planted:
     uncertainty: float = USUAL_GAIN_DEVIATION
 
     def wanted(self):
-        """Effect, places and values of each that is to be found."""
+        """Return effect, places and values of each expected finding."""
         for effect, *values in map(str.split, self.found.split(", ")):
             name, _, places = effect.partition("@")
             pairs = (value.split("=") for value in values)
@@ -361,7 +360,7 @@ def test_what_was_found_is_saved_and_another_log_needs_nothing_more(tmp_path):
 
 
 def mounted(turn, seed, name=ARM, **options):
-    """A log of a robot whose base is turned about y."""
+    """Return a log of a robot whose base is rotated about y."""
     hidden = leaning(0.0, turn)
     return effort_log(name, seed, hidden, **{"duration": 8.0, "share": 0.01, **options}).log
 
@@ -484,7 +483,7 @@ NOTHING = [
 
 @pytest.mark.parametrize(("seed", "options", "verdict"), NOTHING)
 def test_nothing_is_found_where_nothing_is_hidden(seed, options, verdict):
-    """But wrong bodies where these are; further seeds are in the benchmark."""
+    """Only wrong bodies are found where they are; further seeds are in the benchmark."""
     name = (ARM, "arm7", PENDULUM)[seed % 3]
     recording = effort_log(name, seed, duration=16.0, **options)
     found = explain(model_file(name), [recording.log])
@@ -530,7 +529,7 @@ def test_waves_of_a_users_own_are_named_by_one_diagnosis_and_added_by_name():
 
 
 def test_a_gain_is_named_only_if_it_is_unusual():
-    """Gains of torque constants that are known to 5 % may be off by 8 %."""
+    """Gains that are known to 5 % may be off by 8 %."""
     known = explained(FRICTION)[1].model
     found = explain(known, [recorded(dataclasses.replace(ROWS["a gain"], uncertainty=0.05)).log])
     assert "effort_scale" not in {step.effect for step in found.steps}

@@ -1,4 +1,4 @@
-"""The loop on measurements of real robots, which are public but do not come with the package."""
+"""Explanations of measurements of real robots, which are public but not in the package."""
 
 import time
 from pathlib import Path
@@ -19,13 +19,13 @@ pytestmark = pytest.mark.measurements(
 
 
 def places(explanation):
-    """Effect -> where it was added."""
+    """Return the places where each effect was added."""
     return {step.effect: step.where for step in explanation.steps}
 
 
 @pytest.fixture(scope="session")
 def ur10e_free():
-    """The UR10e's two motions without payload, and how long they took to explain."""
+    """Return the explanation of the UR10e's two motions without payload, and its time."""
     start = time.process_time()
     model = load_model(REFERENCE / "ur10e.urdf")
     found = explain(model, [DATA / "ur10e_free_a.csv", DATA / "ur10e_free_b.csv"])
@@ -34,7 +34,7 @@ def ur10e_free():
 
 @pytest.fixture(scope="session")
 def ur10e_saved(ur10e_free, tmp_path_factory):
-    """The model fitted to these motions, saved and read back."""
+    """Return the model fitted to these motions, saved and read back."""
     path = tmp_path_factory.mktemp("ur10e") / "ur10e.yaml"
     save_model(ur10e_free[0].model, path)
     return load_model(path)
@@ -75,7 +75,7 @@ def test_ur10e_is_quick(ur10e_free):
 
 
 def test_ur10e_saved_model_holds_on_another_kind_of_motion(ur10e_free, ur10e_saved):
-    """Point-to-point motion: friction found in excitation motions takes most of the error away."""
+    """Friction from excitation motions explains most of the error of point-to-point motion."""
     log = [DATA / "ur10e_ptp.csv"]
     unfitted = compare(load_model(REFERENCE / "ur10e.urdf"), log).errors
     known = compare(ur10e_saved, log).errors.nrms

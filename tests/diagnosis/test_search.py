@@ -27,13 +27,13 @@ BANDWIDTH = 6.0
 
 
 def knowing(*effects, model=MODEL):
-    """The model with effects, given with their parameters."""
+    """Return the model with effects of given parameters."""
     fitted = tuple(FittedEffect(effect, np.atleast_1d(values)) for effect, values in effects)
     return replace(model, effects=fitted)
 
 
 def at_elbow(law):
-    """A hidden effort at the elbow: a law of its position, velocity and acceleration."""
+    """Return a hidden effort at the elbow, a function of its motion."""
     return lambda q, v, vd, load: np.stack([np.zeros(len(q)), law(q[:, 1], v[:, 1], vd[:, 1])], 1)
 
 
@@ -67,7 +67,7 @@ class TestChoice:
         assert (after.effect, after.where) == ("stribeck_friction", ("elbow",))
 
     def test_the_simplest_of_those_that_tie_is_chosen(self):
-        """Though an effect of one's own fits a little better."""
+        """A user's effect fits slightly better."""
 
         Oil = own_effect("oil", columns=lambda self, j: [j.v * (1.0 + 0.004 * j.q)])
 
@@ -112,7 +112,7 @@ class TestChoice:
 
     @pytest.mark.parametrize(("stiffness", "is_spring"), [(0.3, True), (-0.3, False)])
     def test_a_spring_without_stiffness_is_none(self, stiffness, is_spring):
-        """Though its preload alone explains an offset."""
+        """Its preload alone would explain an offset."""
         log = pendulum_log(1, at_elbow(lambda q, v, vd: 0.5 + stiffness * q), seconds=16.0)
         named = {candidate.effect for candidate in diagnosed(log)}
         assert ("joint_spring" in named) == is_spring
@@ -180,13 +180,13 @@ SECOND_AND_LAST = APART[-1]
 
 
 def wrong(off=0.2):
-    """The chain with bodies that weigh by a share `off` more or less."""
+    """Return the chain with bodies whose masses are off by a share."""
     factors = np.exp(off * np.random.default_rng(0).normal(size=(4, 1)))
     return replace(CHAIN, phi=factors * CHAIN.phi)
 
 
 def diagnosed_arm(hidden, *, off=0.2):
-    """Candidates of a log with a hidden effort, and those that couple joints of `APART`."""
+    """Return candidates of a log with a hidden effort, and those that couple joints of `APART`."""
     log = chain_log(CHAIN, 1, hidden, seconds=16.0)
     candidates = diagnose(wrong(off), [log], bandwidth=6.0).candidates
     return candidates, [c for c in candidates if c.effect in NAMES and c.where in APART]

@@ -1,4 +1,4 @@
-"""Evidence: effective samples against theory, and false alarms and ties counted by simulation."""
+"""Evidence: effective samples against theory; false alarms and ties by simulation."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from geodrake.identification.logs.evidence import (
 
 
 def autoregressive(rng, n, rho):
-    """Stationary AR(1) series of unit variance."""
+    """Return stationary AR(1) series of unit variance."""
     drive = np.sqrt(1 - rho**2) * rng.normal(size=n)
     drive[0] = rng.normal()
     return lfilter([1.0], [1.0, -rho], drive)

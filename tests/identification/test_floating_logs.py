@@ -1,4 +1,4 @@
-"""Logs of a robot on its feet, made by Pinocchio."""
+"""Logs of a robot on its feet by Pinocchio."""
 
 import re
 from copy import deepcopy

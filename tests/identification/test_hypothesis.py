@@ -64,7 +64,7 @@ def with_effects(dataset, unknowns, *effects):
 
 
 def stacked(dataset, columns, fold, joint, delay):
-    """Rows A (K, p) over given columns, zero where a joint has none, and b (K,)."""
+    """Return rows A (K, p) over given columns, zero where a joint has none, and b (K,)."""
     data = dataset.data[joint]
     rows = data.rows[fold]
     A = np.zeros((sum(len(r.b) for r in rows), len(columns)))
@@ -77,7 +77,7 @@ def stacked(dataset, columns, fold, joint, delay):
 
 
 def ridge_fit(dataset, unknowns, *, without, delay):
-    """Fit to all folds but one by bounded least squares on the rows themselves."""
+    """Return the fit to all folds but one by bounded least squares on the rows themselves."""
     rows, sides = [], []
     for fold in range(len(dataset.folds)):
         for joint in range(len(dataset.joints)):
@@ -94,7 +94,7 @@ def ridge_fit(dataset, unknowns, *, without, delay):
 
 
 def ridge_errors(dataset, unknowns, *, delay=(0, 0)):
-    """Squared held-out errors (F, nv) of such fits."""
+    """Return squared held-out errors (F, nv) of such fits."""
     sse = np.empty((len(dataset.folds), len(dataset.joints)))
     for fold in range(len(dataset.folds)):
         x = ridge_fit(dataset, unknowns, without=fold, delay=delay)
@@ -120,7 +120,7 @@ def test_held_out_errors_are_those_of_ridge_regression(dataset, effects, delay):
 
 
 def negative(dataset):
-    """The dataset with measured efforts of the other sign."""
+    """Return the dataset with measured efforts of the opposite sign."""
     return replace(
         dataset,
         data=tuple(
@@ -137,7 +137,7 @@ def negative(dataset):
 
 
 def test_bodies_stay_physical(dataset):
-    """Where data pull bodies out, fits are those of Drake's conic solver."""
+    """Where data would make bodies unphysical, fits equal those of Drake's conic solver."""
     unknowns = model_unknowns(dataset, MODEL, spread=3.0)
     wild = CrossValidation(negative(dataset), unknowns, WEIGHTS, physical=False)
     assert not is_physical(wild.held_out.x.reshape(-1, 10)).any()
@@ -155,7 +155,7 @@ WEIGHT = KnownPayload("lower_link", 1.0, (0.05, 0.0, -0.2))
 
 
 def weight_effort(q, v, vd, load):
-    """What a weight at the lower link needs beside the model, by Drake."""
+    """Return the further effort of a weight at the lower link, by Drake."""
     plant = MultibodyPlant(0.0)
     Parser(plant).AddModels(str(PENDULUM))
     plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
@@ -168,7 +168,7 @@ def weight_effort(q, v, vd, load):
 
 
 def carrying_log(seed, hidden=None, **more):
-    """A log of the pendulum with the weight, which is known."""
+    """Return a log of the pendulum with the known weight."""
 
     def both(q, v, vd, load):
         rest = 0.0 if hidden is None else hidden(q, v, vd, load)
@@ -264,7 +264,7 @@ def test_one_matrix_of_many_that_has_no_factor_is_seen(wrong):
 
 
 def fit_of(information):
-    """A fit of two bodies with a prior information (20, 20) and no data."""
+    """Return a fit of two bodies with a prior information (20, 20) and no data."""
     problem = FitProblem(
         factor=np.zeros((1, 21)),
         inertia_blocks=(0, 10),

@@ -1,4 +1,4 @@
-"""Identification: results, bounds, priors, and regularizers side by side."""
+"""Identification: results, bounds, priors, and comparison of regularizers."""
 
 from dataclasses import replace
 
@@ -38,12 +38,12 @@ KINDS = ("euclidean", "pullback", "entropic", "riemannian")
 
 
 def data(seed, *, rows=24, **options):
-    """Fewer rows than parameters."""
+    """Return fewer rows than parameters."""
     return random_data(seed, THREE, rows=rows, **options)
 
 
 def balls(radius, away=0.0):
-    """Q (3, 4, 4) of balls around the centres of mass, or away from them."""
+    """Return Q (3, 4, 4) of balls around the centres of mass, or away from them."""
     return Ellipsoid(THREE[:, 1:4] / THREE[:, :1] + away, [radius] * 3, np.eye(3)).quadric
 
 
@@ -371,7 +371,7 @@ FORMS = {
 
 
 def data_with_scalars(seed, rows=60, extra=3):
-    """(A, b) of three bodies and scalars of very different sizes, and the scalars."""
+    """Return (A, b) of three bodies and scalars of very different sizes, and the scalars."""
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(rows, THREE.size + extra))
     A[:, THREE.size :] *= [30.0, 1.0, 0.05][:extra]
@@ -425,7 +425,7 @@ def test_scalars_without_data_stay_at_their_priors_and_others_are_free():
 
 
 def example(seed, *, gamma=5.0, noise=1.0, rows=40, friction=2.0):
-    """A fit of bodies and scalars; a smaller γ or larger noise drives it to the boundary."""
+    """Return a fit of bodies and scalars; smaller γ or larger noise drives it to the boundary."""
     rng = np.random.default_rng(seed)
     truth = np.append((TWO * rng.uniform(0.8, 1.2, TWO.shape)).ravel(), np.full(3, friction))
     A = rng.normal(size=(rows, 23)) * 10.0

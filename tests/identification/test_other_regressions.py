@@ -145,12 +145,12 @@ def noisy_data(seed, *, rows=30, noise=0.1):
 
 
 def bodies(velocity):
-    """P = L exp(Q) Lᵀ for Q (2, 4, 4)."""
+    """Return P = L exp(Q) Lᵀ for Q (2, 4, 4)."""
     return np.array([L @ expm(Q) @ L.T for L, Q in zip(ROOTS, velocity, strict=True)])
 
 
 def covectors(A):
-    """X (m, 2, 4, 4) with aᵀ Φ = Σ tr(P(φ_j) X_j) for rows a of A."""
+    """Return X (m, 2, 4, 4) with aᵀ Φ = Σ tr(P(φ_j) X_j) for rows a of A."""
     return dual(A.reshape(len(A), -1, 10))
 
 

@@ -38,7 +38,7 @@ def power(random, low, high):
 
 
 def random_bodies(random, count):
-    """(count, 10) physical bodies, from milligrams to thousands of tonnes, some nearly flat."""
+    """Return (count, 10) physical bodies, from milligrams to kilotonnes, some nearly flat."""
     masses = 10.0 ** random.uniform(-6.0, 6.0, count)
     if random.random() < 0.5:  # of one size, as in a robot
         masses = masses[0] * 10.0 ** random.uniform(-1.0, 1.0, count)
@@ -54,7 +54,7 @@ def random_bodies(random, count):
 
 
 def random_regressor(random, p):
-    """(m, p) regressor of one of the kinds."""
+    """Return an (m, p) regressor of one of the kinds."""
     kind = random.choice(REGRESSORS)
     rows = int(random.integers(1, 8)) if kind == "few rows" else int(random.integers(p // 2, 3 * p))
     A = random.normal(size=(rows, p))
@@ -71,7 +71,7 @@ def random_regressor(random, p):
 
 
 def random_regions(random, prior):
-    """(n, 4, 4) ellipsoids of one of the kinds for a prior, or none."""
+    """Return (n, 4, 4) ellipsoids of one of the kinds for a prior, or none."""
     kind = pick(random, REGIONS)
     if kind == "none":
         return None
@@ -93,7 +93,7 @@ def random_regions(random, prior):
 
 
 def random_fit(seed, number):
-    """What `identify` takes for a seed and a number: arguments and options."""
+    """Return arguments and options of `identify` for a seed and a number."""
     random = np.random.default_rng([seed, number])
     count, extra = int(random.integers(1, 6)), int(random.integers(0, 4) * random.integers(0, 2))
     prior = random_bodies(random, count)
@@ -122,7 +122,7 @@ def random_fit(seed, number):
 
 
 def solve(seed, number):
-    """How a fit ends, in this process."""
+    """Return how a fit ends in this process."""
     arguments, options = random_fit(seed, number)
     try:
         found = identify(*arguments, **options)
@@ -141,7 +141,7 @@ def limit_this_process():
 
 
 def end_of(seed, number):
-    """How a fit ends in a process of its own."""
+    """Return how a fit ends in a process of its own."""
     with ProcessPoolExecutor(1, get_context("fork"), limit_this_process) as apart:
         try:
             return apart.submit(solve, seed, number).result()

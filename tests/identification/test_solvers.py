@@ -32,7 +32,7 @@ from geodrake.inertia import from_mass_com_inertia, is_physical, pseudo_inertia,
 
 
 def information_difference(result, other):
-    """Largest difference of an entry, relative to its row's and column's diagonal entries."""
+    """Return the largest difference of an entry, relative to the diagonal entries."""
     size = np.sqrt(np.diagonal(other.information))
     return np.abs((result.information - other.information) / np.outer(size, size)).max()
 
@@ -106,12 +106,12 @@ PRIOR_AND_FRICTION = np.append(TWO.ravel(), 0.0)
 
 
 def data(seed, *, rows=12, **options):
-    """Fewer rows than parameters."""
+    """Return fewer rows than parameters."""
     return random_data(seed, TWO, rows=rows, **options)
 
 
 def squared_distance(phi):
-    """½ Σ log² λ by generalized eigenvalues, one body at a time."""
+    """Return ½ Σ log² λ by generalized eigenvalues, one body at a time."""
     total = 0.0
     for body, prior in zip(phi, TWO, strict=True):
         ratios = np.linalg.eigvals(np.linalg.solve(pseudo_inertia(prior), pseudo_inertia(body)))
@@ -122,7 +122,7 @@ def squared_distance(phi):
 
 
 def own_cost(x, A, b, gamma):
-    """The cost as the source states it, without any of the package's coordinates; finite."""
+    """Return the cost as in the source, without any of the package's coordinates."""
     if not is_physical(x[:20].reshape(2, 10)).all():
         return 1e12
     return np.sum((A @ x - b) ** 2) + gamma * squared_distance(x[:20].reshape(2, 10))
@@ -146,7 +146,7 @@ def test_derivatives_are_those_of_finite_differences(seed, spread):
 
 
 def test_another_optimizer_finds_the_same():
-    """BFGS on the source's own cost, in the parameters themselves."""
+    """BFGS minimizes the source's own cost over the parameters themselves."""
     A, b = data(0, extra=1)
     result = identify(A, b, TWO, regularizer="riemannian", gamma=0.3)
     x = np.append(result.phi.ravel(), result.extra)

@@ -44,7 +44,7 @@ EXAMPLES = settings(max_examples=20)
 
 
 def random_body(rng):
-    """A body of a few kilograms and decimetres with its centre of mass off the origin."""
+    """Return a body of some kilograms and decimetres, with its centre of mass off the origin."""
     offset = rng.normal(0, 0.2, (1, 3))
     return parameters.from_point_masses(
         rng.uniform(0.05, 1.0, 8), rng.normal(0, 0.1, (8, 3)) + offset

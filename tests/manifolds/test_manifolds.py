@@ -198,7 +198,7 @@ def test_bodies_that_count_as_physical_at_sight_are(seed, size):
 
 @pytest.mark.parametrize("name", ["positive", "inertia"])
 def test_retraction_follows_geodesics(name):
-    """Of constant speed, and shorter than the straight line between their ends."""
+    """They have constant speed, and are shorter than the straight line between their ends."""
     manifold, rng = MANIFOLDS[name], np.random.default_rng(11)
     x, v = random_point(manifold, rng), 0.3 * rng.normal(size=manifold.dimension)
     times = np.linspace(0, 1, 201)[:, None]
@@ -270,7 +270,7 @@ PROJECTING = {
 
 
 def random_set(inside, rng):
-    """A polyhedron of any kind around a point, and whether it is flat."""
+    """Return a polyhedron of any kind around a point, and whether it is flat."""
     k, kind = rng.integers(1, 4), rng.integers(0, 4)
     A = rng.normal(size=(k, len(inside)))
     value, width = A @ inside, rng.uniform(0.01, 0.5, (2, k))
@@ -411,7 +411,7 @@ MIXED = Product(
 
 
 def slabs(rng, rows, scale=1.0):
-    """A point outside, rows, values and tolerances, and a truth inside of the slabs."""
+    """Return a point outside, rows with values and tolerances, and a truth inside the slabs."""
     x, truth = random_point(MIXED, rng, 2)
     truth[:-1] *= scale
     A = rng.normal(size=(rows, MIXED.dimension))

@@ -1,4 +1,4 @@
-"""A model in a Drake diagram in one call: against Pinocchio, rollouts and closed forms."""
+"""A model added to a Drake diagram, against Pinocchio, rollouts and closed forms."""
 
 from dataclasses import replace
 from importlib.resources import files
@@ -38,7 +38,7 @@ def fitted(effect, *parameters):
 
 
 def rigid():
-    """The demo's arm with other inertias and a payload, and Pinocchio's model of it."""
+    """Return the demo's arm with other inertias and a payload, and Pinocchio's model of it."""
     model = load_model(DEMO)
     payload = fitted(effects.Payload(model.bodies[-1]), *(1.5 * model.phi[-1]))
     model = replace(model, phi=1.2 * model.phi, effects=(payload,))
@@ -54,7 +54,7 @@ def rigid():
 
 
 def acceleration(model, q, v, u, **options):
-    """v̇ in a diagram, from the port of its plant."""
+    """Return v̇ in a diagram, from the port of its plant."""
     builder = DiagramBuilder()
     robot = model.add_to_builder(builder, **options)
     builder.ExportInput(robot.effort, "effort")
@@ -85,7 +85,7 @@ def test_inertias_a_payload_rotors_damping_and_a_gain_are_pinocchios():
 
 
 def with_effects(delay):
-    """The demo's arm with everything that `EffectForce` and the plant carry, and a delay."""
+    """Return the demo's arm with everything that `EffectForce` and the plant carry, and a delay."""
     model = load_model(DEMO)
     shoulder, elbow, wrist = "shoulder_pitch", "elbow_pitch", model.joints[-1]
     return replace(
@@ -102,7 +102,7 @@ def with_effects(delay):
 
 
 def simulated_log(model, seconds=1.5, period=2e-3):
-    """Needed efforts of some motion, and what the diagram makes of them, as a log has it."""
+    """Return a log of efforts of a motion, and of the diagram's motion under them."""
     time = np.arange(0.0, seconds + period / 2, period)
     phase = np.outer(time, np.linspace(2.0, 4.0, 6))
     rates = np.linspace(2.0, 4.0, 6)

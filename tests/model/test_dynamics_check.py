@@ -1,4 +1,4 @@
-"""`geodrake check`: what agrees with MultibodyPlant is said to, and what does not is found."""
+"""`geodrake check` reports agreement with MultibodyPlant, and finds differences."""
 
 import json
 import re
@@ -27,7 +27,7 @@ ARM, DOUBLE = MODELS / "arm6.urdf", MODELS / "double_pendulum.urdf"
 
 
 def off_by(share, name="inverse_dynamics"):
-    """Our own computation, wrong by a share at the third joint."""
+    """Return geodrake's dynamics, wrong by a share at the third joint."""
     real = getattr(dynamics_check, name)
 
     def wrong(tree, q, v, vd, *phi):

@@ -1,4 +1,4 @@
-"""Models written into files and read again."""
+"""Models written to files and read again."""
 
 import re
 import shutil
@@ -109,7 +109,7 @@ FORMATS = {"arm.urdf": URDF, "arm.sdf": SDF, "arm.xml": MJCF}
 
 
 def moved(phi, rng, size=0.2):
-    """Other physical bodies, near or far."""
+    """Return other physical bodies, near or far."""
     root = np.linalg.cholesky(pseudo_inertia(phi))
     root = root @ (np.eye(4) + size * rng.normal(size=(*phi.shape[:-1], 4, 4)))
     return from_pseudo_inertia(root @ np.swapaxes(root, -1, -2))
@@ -122,13 +122,13 @@ def written(folder, name, text):
 
 
 def without_inertials(data):
-    """A file less its inertial elements, what is said of them, and the white space before them."""
+    """Return a file without its inertial elements, what is said of them, and the blanks before."""
     data = re.sub(rb"\s*<!-- geodrake repaired .*?-->", b"", data)
     return re.sub(rb"\s*<inertial\b[^>]*?(/>|>.*?</inertial>)", b"", data, flags=re.DOTALL)
 
 
 def closed(data):
-    """A file in which `<link name="a"></link>` is `<link name="a"/>`, as an empty link may be."""
+    """Return a file in which empty elements are self-closing."""
     return re.sub(rb'(<link name="\w+")\s*(/>|></link>)', rb"\1/>", data)
 
 
@@ -328,7 +328,7 @@ DEMO = Path(str(files("geodrake") / "demo" / "demo.urdf"))
 
 @pytest.fixture
 def fitted(tmp_path):
-    """A model with all kinds of effects, whose base file lies in a folder of its own."""
+    """Return a model with all kinds of effects, whose base file is in a folder of its own."""
     base = tmp_path / "robot" / "arm6.urdf"
     base.parent.mkdir()
     shutil.copy(MODELS / "arm6.urdf", base)
@@ -377,7 +377,7 @@ def test_comes_back_exactly(fitted, saved, tmp_path):
 
 
 def test_models_of_before_are_read(fitted, saved):
-    """A file without what later versions write; other fields are as it says."""
+    """An older file lacks fields of later versions; other fields count."""
     lines = saved.read_text().splitlines(keepends=True)
     later = ("motorless:", "leading:", "bandwidths:", "  abc:")
     saved.write_text("".join(line for line in lines if not line.startswith(later)))
@@ -441,7 +441,7 @@ def test_what_does_not_fit_together_is_refused(fitted, saved):
 
 
 class TestMovedFiles:
-    """A saved model in one folder, whose base file is in another one."""
+    """The base file of a saved model is in another folder."""
 
     @pytest.fixture
     def moving(self, tmp_path):

@@ -1,4 +1,4 @@
-"""Held joints against Pinocchio's reduced models, joints that are fixed, and Gaussian marginals."""
+"""Held joints against Pinocchio's reduced models, fixed joints, and Gaussian marginals."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -51,7 +51,7 @@ def test_efforts_are_those_of_pinocchios_reduced_model(tmp_path):
 
 
 def fitted_arm(seed=1):
-    """An arm with effects and payloads of its own, and what a fit would know of them."""
+    """Return an arm with effects and payloads, and with the information of a fit."""
     model, rng = load_model(MODELS / "arm6.urdf"), np.random.default_rng(seed)
     last, before = model.bodies[-1], model.bodies[-2]
     effects = (

@@ -1,4 +1,4 @@
-"""A robot model: the effort it needs, and whether it is admissible."""
+"""Efforts of a robot model, and whether it is admissible."""
 
 from dataclasses import replace
 from functools import cache
@@ -42,7 +42,7 @@ def motion(arm):
 
 
 def drake_effort(model, motion):
-    """Inverse dynamics of Drake's plant with the model's bodies."""
+    """Return the inverse dynamics of Drake's plant with the model's bodies."""
     samples = motion.q, motion.v, motion.vd
     return inverse_dynamics(model.plant, *samples, model.create_context())
 

@@ -1,4 +1,4 @@
-"""Efforts as source code: run without geodrake, compiled, and against other engines."""
+"""Efforts as source code that runs without geodrake, against other engines."""
 
 import json
 import shutil
@@ -46,7 +46,7 @@ def motion_of(model, count=4, seed=0):
 
 
 def ran(source, motion):
-    """Efforts (N, nv) by a Python source, in this process."""
+    """Return efforts (N, nv) of Python source, run in this process."""
     names = {}
     exec(compile(source, "effort.py", "exec"), names)
     samples = zip(motion.q, motion.v, motion.vd, strict=True)  # whose numbers are NumPy's
@@ -54,7 +54,7 @@ def ran(source, motion):
 
 
 def compiled_efforts(source, motion, folder):
-    """Efforts (N, nv) by a C++ header, compiled with all warnings as errors."""
+    """Return efforts (N, nv) of a C++ header, compiled with all warnings as errors."""
     compiler = shutil.which("c++") or shutil.which("g++") or shutil.which("clang++")
     if compiler is None:
         pytest.skip("there is no C++ compiler")

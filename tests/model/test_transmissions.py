@@ -1,4 +1,4 @@
-"""Transmissions against differences, by hand in Drake, and MuJoCo."""
+"""Transmissions against differences, formulas in Drake, and MuJoCo."""
 
 from dataclasses import replace
 
@@ -60,7 +60,7 @@ def loop(tmp_path_factory):
 
 
 def slopes_of(function, x):
-    """Central differences [..., j] of a function of x (N, n)."""
+    """Return central differences [..., j] of a function of x (N, n)."""
     units = STEP * np.eye(x.shape[1])
     return np.stack([(function(x + u) - function(x - u)) / (2 * STEP) for u in units], -1)
 
@@ -174,7 +174,7 @@ def test_a_plant_in_a_diagram_moves_as_the_model_does(beside, extra, tmp_path):
 
 
 def test_friction_is_found_at_the_motor_that_has_it(wrist):
-    """Dry friction of the motor m2, which moves two joints."""
+    """The motor m2 with dry friction moves two joints."""
     rub = lambda v: np.tanh(v / 1e-3) * [0.0, 0.8, 0.0]  # noqa: E731
     found = explain(wrist, [log_of(wrist, 0, rub, seconds=12.0)])
     (step,) = found.steps
@@ -316,7 +316,7 @@ def random_motion(count=6, width=2, seed=0):
 
 
 def crank(q):
-    """A slider crank's angle and stroke, and a plain joint: 3 joints of 2 actuators."""
+    """Return a slider crank's angle and stroke, and a plain joint: 3 joints of 2 actuators."""
     a, b = q.T
     return np.stack([np.arcsin(0.4 * np.sin(a)), np.cos(a) + 0.3 * np.sin(a + b), b], -1)
 
@@ -372,7 +372,7 @@ CYLINDER = LinearActuator(actuator="m", joint="j", base=0.5, lever=0.4, length=0
 
 
 def rocker_of(bars, q):
-    """The rocker's angle by the law of cosines in the triangle of coupler, rocker and diagonal."""
+    """Return the rocker's angle by the law of cosines for coupler, rocker and diagonal."""
     end = bars.crank * np.exp(1j * (q + bars.crank_angle)) - bars.ground
     sides = abs(end) ** 2 + bars.rocker**2 - bars.coupler**2
     bend = np.arccos(sides / (2 * bars.rocker * abs(end)))

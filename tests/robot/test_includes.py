@@ -1,4 +1,4 @@
-"""Robots of several files, of packages and of xacro, and one robot of several in a file."""
+"""Robots of several files, of packages and of xacro, and one of several robots in a file."""
 
 import sys
 from dataclasses import replace
@@ -229,7 +229,7 @@ def swinging(name, axis="0 1 0", z=0.0):
 
 
 def arm(name, x, weld=True):
-    """A model of two links; its base is fixed to the world, or free."""
+    """Return a model of two links, whose base is fixed to the world or free."""
     fixed = "<joint name='fix' type='fixed'><parent>world</parent><child>base</child></joint>"
     joints = "".join(
         f"<joint name='{joint}' type='revolute'><parent>{parent}</parent><child>{child}</child>"

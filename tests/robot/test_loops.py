@@ -59,7 +59,7 @@ def states(model, count=6, seed=0, spread=0.6):
 
 
 def in_mujoco(model, constrained, q):
-    """Positions in MuJoCo's order of a posture (nq,) of the model, whose joints have its names."""
+    """Return a posture (nq,) of the model in MuJoCo's order of the joints of the same names."""
     qpos, places = np.array(constrained.m.qpos0), model.plant_positions(q[None])[0]
     for k in range(constrained.m.njnt):
         joint = constrained.m.joint(k)
@@ -68,7 +68,7 @@ def in_mujoco(model, constrained, q):
 
 
 def assert_as_mujoco(model, constrained, motion, close=1e-10, share=1e-6):
-    """Efforts (N, n) are MuJoCo's through its own constraints, which are closed there."""
+    """Check that efforts (N, n) are those of MuJoCo with its own closed constraints."""
     for q, v, vd in zip(*motion, strict=True):
         ours = in_mujoco(model, constrained, q)
         qpos, G = constrained.closed(ours)
@@ -248,7 +248,7 @@ def test_what_holds_a_free_body_is_left_out(tmp_path):
 
 
 def assert_twins(folder, text, tail=""):
-    """A model of an SDF is the four-bar of its names in MJCF."""
+    """Check that a model of an SDF equals the four-bar of the same names in MJCF."""
     (folder / "robot.sdf").write_text(text)
     model = load_model(folder / "robot.sdf")
     other = four_bar(rocker='damping=".1"').replace("</mujoco>", f"{tail}</mujoco>")
@@ -441,7 +441,7 @@ TERMS = 'damping=".2"', 'armature=".03"', 'stiffness="3" springref=".1"', ""
 
 
 def random_robot(seed):
-    """Two chains of joints about and along any axes, their ends joined, on a joint of its own."""
+    """Return two chains of joints with any axes on a common joint, whose ends are joined."""
     rng = np.random.default_rng(seed)
     words = lambda x: " ".join(f"{value:.12g}" for value in x)  # noqa: E731
 

@@ -1,4 +1,4 @@
-"""MJCF means what MuJoCo makes of it: each construct against MuJoCo's own inverse dynamics."""
+"""Each construct of MJCF against MuJoCo's own inverse dynamics."""
 
 import threading
 
@@ -44,13 +44,13 @@ def write(folder, text, **others):
 
 
 def with_dry(theirs, joints, q, v, vd, closed=True):
-    """MuJoCo's efforts (N, n), its dry friction included."""
+    """Return MuJoCo's efforts (N, n) with its dry friction."""
     dry = [theirs.dof_frictionloss[theirs.joint(joint).dofadr[0]] for joint in joints]
     return mujoco_efforts(theirs, joints, q, v, vd, closed=closed) + dry * np.sign(v)
 
 
 def assert_as_mujoco(folder, text, joints="", change=lambda theirs: None):
-    """The model moves at all joints of the file, or at those given."""
+    """Check that the model moves as MuJoCo's at all joints of the file, or at given ones."""
     path = write(folder, text)
     model, theirs = load_model(path), mujoco.MjModel.from_xml_path(str(path))
     change(theirs)

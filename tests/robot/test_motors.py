@@ -1,4 +1,4 @@
-"""Joints that follow others and motors that files state, against Pinocchio, MuJoCo and formulas."""
+"""Joints that follow others, and motors that files state, against Pinocchio and MuJoCo."""
 
 import mujoco
 import numpy as np
@@ -239,7 +239,7 @@ def follow(leader, multiplier, offset=0.0):
 
 
 def gripper(follows=True):
-    """Two arms; a geared rotor beside one, a chain behind the other, and a sliding finger."""
+    """Return two arms, with a geared rotor beside one and a chain behind the other."""
     own = follow if follows else (lambda *_: "")
     damping = '<dynamics damping="0.3" friction="0.2"/>'
     return (

@@ -1,4 +1,4 @@
-"""Robots by the names of robot_descriptions, from a cache that each test makes: no network."""
+"""Robots by the names of robot_descriptions, from a cache of the test, without a network."""
 
 import shutil
 import subprocess
@@ -58,7 +58,7 @@ def git(folder, *words):
 
 @pytest.fixture
 def fresh(monkeypatch, tmp_path):
-    """robot_descriptions as if it had not been asked for anything yet, with an empty cache."""
+    """Return a freshly imported robot_descriptions with an empty cache."""
     for name in ("ur5e", "ur5e_mj", "panda"):
         monkeypatch.delitem(sys.modules, f"robot_descriptions.{name}_description", raising=False)
     monkeypatch.setenv("ROBOT_DESCRIPTIONS_CACHE", str(tmp_path / "cache"))
@@ -72,7 +72,7 @@ def fresh(monkeypatch, tmp_path):
 
 @pytest.fixture
 def cached(fresh, monkeypatch):
-    """A cache that has what three robots need, at commits of its own."""
+    """Return a cache with the files of three robots, at commits of its own."""
     for repository in dict.fromkeys(name for name, _ in FILES):
         known = repositories.REPOSITORIES[repository]
         folder = fresh / "cache" / known.cache_path

@@ -23,7 +23,7 @@ GOOD = "ixx='0.1' iyy='0.1' izz='0.1' ixy='0' ixz='0' iyz='0'"
 
 
 def urdf(inertial="", *, joint="", extra=""):
-    """Base, one revolute joint about y, one link `l1` with the given inertial element."""
+    """Return a base and one revolute joint about y, with an inertial element of the link `l1`."""
     return f"""<robot name="r"><link name="base"/><link name="l1">{inertial}</link>
     <joint name="j1" type="revolute"><parent link="base"/><child link="l1"/><axis xyz="0 1 0"/>
     <limit lower="-1" upper="2" effort="10" velocity="3"/>{joint}</joint>{extra}</robot>"""
@@ -40,14 +40,14 @@ def tensor(xx, yy, zz, xy=0.0):
 
 
 def stated(loaded, joint):
-    """Damping, rotor inertia and dry friction that a file states at a joint."""
+    """Return damping, rotor inertia and dry friction that a file states at a joint."""
     own = [length for length in loaded.terms.lengths if length.shares == {joint: 1.0}]
     return np.sum([(x.damping[0], x.armature, x.friction) for x in own], axis=0)
 
 
 @pytest.fixture
 def load(tmp_path, capfd):
-    """Loads a text under a file name and checks that nothing was printed."""
+    """Load a text under a file name, and check that nothing was printed."""
 
     def load_text(text, name="robot.urdf", **options):
         path = tmp_path / name
@@ -354,7 +354,7 @@ def test_a_floating_body_is_no_robot_with_joints_of_one_degree():
 
 
 class TestBase:
-    """Gravity on the base is what matters to efforts."""
+    """Gravity on the base counts for efforts."""
 
     model = load_model(PENDULUM)
 

@@ -1,4 +1,4 @@
-"""Regressors of robots, also with a free base, and what of them is identifiable."""
+"""Regressors of robots, also with a free base, and their identifiable parameters."""
 
 import weakref
 from pathlib import Path
@@ -250,7 +250,7 @@ def test_wrench_is_the_rate_of_momentum_less_gravity(kinds, seed):
     context, step = plant.CreateDefaultContext(), 1e-5
 
     def at(time):
-        """Momentum (n, f) about the world's origin, moving on from the sample."""
+        """Return momentum (n, f) about the world's origin, some time after the sample."""
         plant.SetPositions(context, q[0])
         qd = plant.MapVelocityToQDot(context, v[0] + 0.5 * time * vd[0])
         plant.SetPositions(context, q[0] + time * qd)
@@ -311,7 +311,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def serial(axes, *, slides=(), gravity=(0.0, 0.0, -9.81)):
-    """A chain of joints about local axes, each 0.4 m along x from the one before."""
+    """Return a chain of joints about local axes, each 0.4 m along x from the previous one."""
     plant, last = MultibodyPlant(0.0), None
     for i, axis in enumerate(axes):
         body = plant.AddRigidBody(f"link{i}", SpatialInertia.SolidBoxWithMass(1, 0.2, 0.1, 0.3))

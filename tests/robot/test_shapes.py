@@ -1,4 +1,4 @@
-"""Shapes of robots: meshes of all usual formats, and words for those that are none."""
+"""Shapes of robots: meshes of all usual formats, and messages on invalid ones."""
 
 import os
 import struct

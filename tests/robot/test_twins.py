@@ -1,4 +1,4 @@
-"""One random robot as a URDF and as an SDF that says the same in other ways, and Pinocchio."""
+"""One random robot as a URDF and as a different but equivalent SDF, and in Pinocchio."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def random_pose(rng):
 
 
 def random_links(rng):
-    """Links after the first one: parent, kind of joint, pose in the parent, axis, inertia."""
+    """Return links after the first one: parent, kind of joint, pose, axis, inertia."""
     for k in range(1, rng.integers(4, 9)):
         moments = rng.uniform(0.01, 0.1, 3)
         yield {

@@ -1,4 +1,4 @@
-"""What URDF and SDF state of forces is used, or said with its line and value."""
+"""Forces that URDF and SDF state are used, or reported with their line and value."""
 
 import numpy as np
 import pytest
@@ -313,7 +313,7 @@ def test_damping_of_a_planar_joint_of_a_urdf_is_that_of_each_direction(tmp_path)
 
 
 def drakes(tag, sdf, **stated):
-    """An element of Drake's own as URDF or SDF writes it."""
+    """Return an element of Drake's own as in URDF or SDF."""
     parts = ""
     for key, value in stated.items():
         name, kind = f"drake:{tag}_{key}", "value" if value[0] in "-.0123456789" else "name"

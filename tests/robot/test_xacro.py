@@ -1,4 +1,4 @@
-"""Xacro files: expanded as the package xacro expands them, unless they ask for more than values."""
+"""Xacro files are expanded as by the package xacro, unless they ask for more than values."""
 
 import os
 from pathlib import Path
@@ -26,7 +26,7 @@ def written(folder: Path, body: str, name: str = "r.urdf.xacro") -> Path:
 
 @pytest.fixture
 def package(tmp_path):
-    """A package with a macro, values in YAML, and a folder for the model."""
+    """Return a package with a macro, values in YAML, and a folder for the model."""
     folder = tmp_path / "parts"
     written(folder, "<package><name>parts</name></package>", "package.xml")
     written(folder / "config", "a: {x: 1.5, names: [p, q], angle: !degrees 90}\nb: 3\n", "v.yaml")
