@@ -128,7 +128,8 @@ def negative(dataset):
                 data,
                 factors=data.factors * np.r_[np.ones(len(data.columns)), -np.ones(2)],
                 rows=tuple(
-                    tuple(replace(rows, b=-rows.b) for rows in blocks) for blocks in data.rows
+                    tuple(replace(rows, joined=np.hstack([rows.A, -rows.b])) for rows in blocks)
+                    for blocks in data.rows
                 ),
             )
             for data in dataset.data

@@ -8,7 +8,7 @@ candidates are then small dense problems that need no samples.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -34,23 +34,40 @@ class JointRows:
 
     time: Array  # (K,) instants, s
     motion: Array  # (K, 3) position, velocity and acceleration of the joint
-    A: Array  # (K, p_j) columns, in the order of the joint's column indices
-    b: Array  # (K, d) measured effort less `carried`, one column per delay of the dataset
+    # (K, p_j + d) [A | b] of columns, in the order of the joint's column indices, and of measured
+    # efforts less `carried`, one column per delay of the dataset.
+    joined: Array
+    delays: int  # d
     number: NDArray[np.intp]  # (K,) ascending indices among the filter's outputs
     # (K,) known effort: of known payloads, less that of effects included in the columns of bodies
     # (`Effect.in_bodies`), and less that of measured wrenches.
     carried: Array
 
+    @property
+    def A(self) -> Array:
+        """(K, p_j) columns."""
+        return self.joined[:, : -self.delays]
+
+    @property
+    def b(self) -> Array:
+        """(K, d) measured efforts less `carried`."""
+        return self.joined[:, -self.delays :]
+
     def part(self, low: int, high: int) -> JointRows:
         """Return the rows of outputs low to high − 1."""
         rows = slice(*np.searchsorted(self.number, [low, high]))
-        return JointRows(*(getattr(self, field.name)[rows] for field in fields(self)))
+        return replace(self, **{name: getattr(self, name)[rows] for name in _OF_ROWS})
 
     @classmethod
     def join(cls, parts: Sequence[JointRows]) -> JointRows:
         """Concatenate rows."""
-        names = [field.name for field in fields(cls)]
-        return cls(*(np.concatenate([getattr(rows, name) for rows in parts]) for name in names))
+        if len(parts) == 1:
+            return parts[0]
+        values = {n: np.concatenate([getattr(rows, n) for rows in parts]) for n in _OF_ROWS}
+        return replace(parts[0], **values)
+
+
+_OF_ROWS = ("time", "motion", "joined", "number", "carried")
 
 
 @dataclass(frozen=True, eq=False)

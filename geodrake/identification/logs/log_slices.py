@@ -300,8 +300,8 @@ class LogSlice:
             JointRows(
                 motion[-1][at],
                 motion[j][at, :3],
-                _stacked(of_joints[j]),
-                efforts[at, j] - carried[j][:, None],
+                _stacked([*of_joints[j], efforts[at, j] - carried[j][:, None]]),
+                len(self.advance),
                 at,
                 carried[j],
             )

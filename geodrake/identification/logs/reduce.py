@@ -286,8 +286,8 @@ class _FactorBuilder:
         effort = rows.b[:, 0] + rows.carried
         self.sums += effort.sum(), effort @ effort
         self.samples += len(effort)
-        self.pending.append(np.concatenate([rows.A.T, rows.b.T]).T)
-        self.carried += self.pending[-1].T @ rows.carried
+        self.pending.append(rows.joined)
+        self.carried += rows.joined.T @ rows.carried
         if sum(map(len, self.pending)) > (WORTHWHILE + 1) * self.width:
             self.pending = [self.whole_factor()]
 
@@ -300,8 +300,10 @@ class _FactorBuilder:
 
 def _stacked(factors: Sequence[Array]) -> Array:
     """Stack factors (m_i, p), padded with zero rows."""
-    most = max(map(len, factors))
-    return np.array([np.pad(factor, ((0, most - len(factor)), (0, 0))) for factor in factors])
+    stacked = np.zeros((len(factors), max(map(len, factors)), factors[0].shape[1]))
+    for padded, factor in zip(stacked, factors, strict=True):
+        padded[: len(factor)] = factor
+    return stacked
 
 
 def _slices(
