@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,14 +57,17 @@ class JointRows:
     def part(self, low: int, high: int) -> JointRows:
         """Return the rows of outputs low to high − 1."""
         rows = slice(*np.searchsorted(self.number, [low, high]))
-        return replace(self, **{name: getattr(self, name)[rows] for name in _OF_ROWS})
+        values: dict[str, Any] = {name: getattr(self, name)[rows] for name in _OF_ROWS}
+        return replace(self, **values)
 
     @classmethod
     def join(cls, parts: Sequence[JointRows]) -> JointRows:
         """Concatenate rows."""
         if len(parts) == 1:
             return parts[0]
-        values = {n: np.concatenate([getattr(rows, n) for rows in parts]) for n in _OF_ROWS}
+        values: dict[str, Any] = {
+            name: np.concatenate([getattr(rows, name) for rows in parts]) for name in _OF_ROWS
+        }
         return replace(parts[0], **values)
 
 
