@@ -472,7 +472,7 @@ def test_one_name_that_fits_by_chance_is_not_the_only_joint(read_table):
         read_table(named(names, time, q, tau), IIWA[:4])
 
 
-@pytest.mark.parametrize("robots", [("1", "2"), ("a", "b")])
+@pytest.mark.parametrize("robots", [("0", "1"), ("1", "2"), ("a", "b")])
 @pytest.mark.parametrize("in_turn", [True, False])
 def test_rows_of_several_robots(read_table, robots, in_turn):
     time, q, _, tau = motion(("a",))
@@ -676,13 +676,15 @@ def test_rows_of_json_that_are_too_short_are_named(tmp_path, names, rows, row, w
         read_log(tmp_path / "log.json")
 
 
-NUMBER, ROW = np.divmod(np.arange(ROWS), 25)
 TRIALS = {
-    "numbers": {"trial": NUMBER},
-    "words in two columns": {
-        "trial": [f"run {k}" for k in NUMBER],
-        "experiment": [f"day {k // 2}" for k in NUMBER],
-    },
+    "numbers": (25, lambda number: {"trial": number}),
+    "words in two columns": (
+        50,
+        lambda number: {
+            "trial": [f"run {k}" for k in number],
+            "experiment": [f"day {k // 2}" for k in number],
+        },
+    ),
 }
 
 
@@ -690,16 +692,18 @@ TRIALS = {
 @pytest.mark.parametrize("by", TRIALS)
 def test_recordings_in_one_table_follow_each_other(tmp_path, by, suffix):
     time, q, _, tau = motion(("a",))
-    columns = TRIALS[by] | {"time": time[ROW], "q": q[:, 0], "tau": tau[:, 0]}
+    length, named_by = TRIALS[by]
+    number, row = np.divmod(np.arange(ROWS), length)
+    columns = named_by(number) | {"time": time[row], "q": q[:, 0], "tau": tau[:, 0]}
     frame, path = pandas.DataFrame(columns), tmp_path / f"log{suffix}"
     frame.to_csv(path, index=False) if suffix == ".csv" else frame.to_parquet(path)
     log = read_log(path, joints=("a",))
     np.testing.assert_allclose(log.position, q)
-    assert np.count_nonzero(np.diff(log.time) > 0.5) == 7
+    assert np.count_nonzero(np.diff(log.time) > 0.5) == number[-1]
     if by == "numbers":
         assert "8 episodes, concatenated" in log.notes
         one = read_log(path, joints=("a",), reading=Reading(episode=3))
-        np.testing.assert_allclose(one.position, q[NUMBER == 3])
+        np.testing.assert_allclose(one.position, q[number == 3])
 
 
 @pytest.mark.parametrize("unit", ["furlong", "V", "per mille of rated"])
