@@ -93,26 +93,38 @@ app = typer.Typer(
     epilog="Start with: geodrake demo. Then: geodrake explain robot.urdf log.csv",
 )
 
-_COMMANDS: dict[str, tuple[str, type[Any]]] = {
-    "compare": ("explaining.run_compare", options.CompareOptions),
-    "diagnose": ("explaining.run_diagnose", options.DiagnoseOptions),
-    "add": ("explaining.run_add", options.AddOptions),
-    "explain": ("explaining.run_explain", options.ExplainOptions),
-    "rollout": ("rollout.run_rollout", options.RolloutOptions),
-    "play": ("play.run_play", options.PlayOptions),
-    "identify": ("identify.run_identify", options.IdentifyOptions),
-    "excite": ("excite.run_excite", options.ExciteOptions),
-    "identifiable": ("excite.run_identifiable", options.IdentifiableOptions),
-    "digest": ("logs.run_digest", options.DigestOptions),
-    "fleet": ("fleet.run_fleet_command", options.FleetOptions),
-    "export": ("export.run_export", options.ExportOptions),
-    "check": ("export.run_check", options.CheckOptions),
-    "log": ("logs.run_log", options.LogCommandOptions),
-    "demo": ("explaining.run_demo", options.DemoOptions),
+_COMMANDS: dict[str, dict[str, tuple[str, type[Any]]]] = {
+    "Find what a model is missing": {
+        "demo": ("explaining.run_demo", options.DemoOptions),
+        "log": ("logs.run_log", options.LogCommandOptions),
+        "compare": ("explaining.run_compare", options.CompareOptions),
+        "explain": ("explaining.run_explain", options.ExplainOptions),
+        "diagnose": ("explaining.run_diagnose", options.DiagnoseOptions),
+        "add": ("explaining.run_add", options.AddOptions),
+    },
+    "Use a model": {
+        "rollout": ("rollout.run_rollout", options.RolloutOptions),
+        "play": ("play.run_play", options.PlayOptions),
+        "export": ("export.run_export", options.ExportOptions),
+        "check": ("export.run_check", options.CheckOptions),
+    },
+    "Identify parameters": {
+        "excite": ("excite.run_excite", options.ExciteOptions),
+        "identifiable": ("excite.run_identifiable", options.IdentifiableOptions),
+        "identify": ("identify.run_identify", options.IdentifyOptions),
+    },
+    "Watch many robots": {
+        "digest": ("logs.run_digest", options.DigestOptions),
+        "fleet": ("fleet.run_fleet_command", options.FleetOptions),
+    },
 }
-"""Command -> its function, and its options class, whose docstring is its help."""
+"""Panel -> command -> its function, and its options class, whose docstring is its help."""
 
-EXAMPLES = {name: options.examples_of(kind) for name, (_, kind) in _COMMANDS.items()}
+EXAMPLES = {
+    name: options.examples_of(kind)
+    for commands in _COMMANDS.values()
+    for name, (_, kind) in commands.items()
+}
 
 
 def main() -> None:
@@ -122,10 +134,13 @@ def main() -> None:
         app(prog_name="geodrake")
 
 
-for _name, (_place, _kind) in _COMMANDS.items():
-    _lines = [f"geodrake {_name} {example}" for example in EXAMPLES[_name]]
-    _epilog = "\n\n".join(["Examples:", *_lines]) if _lines else None
-    app.command(name=_name, cls=_Command, epilog=_epilog)(options.command_of(_place, _kind))
+for _panel, _commands in _COMMANDS.items():
+    for _name, (_place, _kind) in _commands.items():
+        _lines = [f"geodrake {_name} {example}" for example in EXAMPLES[_name]]
+        _epilog = "\n\n".join(["Examples:", *_lines]) if _lines else None
+        app.command(name=_name, cls=_Command, epilog=_epilog, rich_help_panel=_panel)(
+            options.command_of(_place, _kind)
+        )
 
 
 def _print_version(wanted: bool) -> None:

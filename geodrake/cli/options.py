@@ -36,8 +36,7 @@ class CommonOptions:
         report (FILE.html): Write an HTML page with figures.
         series (FILE.csv|.parquet): Write measured and predicted efforts and residuals, by joint and
             time.
-        details: Also print parameters, errors by joint, where the model fails, bodies and notes, as
-            --report does.
+        details: Print all tables and notes, as --report does.
         quiet: Hide progress.
         debug: Show tracebacks, as GEODRAKE_DEBUG=1 does.
         effects (FILE.py): Load effects of your own. Repeatable.
@@ -83,6 +82,7 @@ class ValidationOptions(LogOptions):
     """
 
     blocks: int | None = None
+    details: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +100,6 @@ class Options(ValidationOptions):
     series: Path | None = None
     correct_columns: bool = False
     no_auto_lock: bool = False
-    details: bool = False
 
     @property
     def hold_resting(self) -> bool:
@@ -110,7 +109,7 @@ class Options(ValidationOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class CompareOptions(Options):
-    """Show the error of a model on logs, by joint, and where it is largest.
+    """Show the error of a model, by joint, and where it is largest.
 
     Examples:
         robot.urdf log.csv --report page.html
@@ -143,7 +142,9 @@ class _Steps(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class ExplainOptions(_Steps):
-    """Find and add missing effects until only noise is left, or nothing explains the rest.
+    """Find and add the effects that the model lacks.
+
+    It ends when only noise is left, or when no effect explains the rest.
 
     Attributes:
         draft_effect (FILE.py): Search for a formula of the remaining error, and write it as an
@@ -159,7 +160,9 @@ class ExplainOptions(_Steps):
 
 @dataclass(frozen=True, kw_only=True)
 class RolloutOptions(LogOptions):
-    """Simulate the model under logged efforts or commands, and compare its motion.
+    """Simulate the model along a log, and compare the motion.
+
+    It is driven by the logged efforts, or by servos that follow the logged commands.
 
     Attributes:
         before (MODEL): A model to compare with, such as the original file.
@@ -189,7 +192,9 @@ class RolloutOptions(LogOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class PlayOptions(LogOptions):
-    """Replay logs on the robot, coloured by error, as a page, a video or a recording.
+    """Replay logs on the robot, coloured by error.
+
+    It writes a page, a video or a recording.
 
     Attributes:
         before (MODEL): A model to show beside it. By default the file that a saved MODEL is based
@@ -222,7 +227,7 @@ class PlayOptions(LogOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class AddOptions(_Steps):
-    """Add an effect to the model, refit, and show the errors before and after.
+    """Add an effect that you name, refit, and show the error.
 
     Attributes:
         effect (EFFECT[@PLACE]): Name of an effect, and its joint or body, as in payload@flange;
@@ -270,7 +275,9 @@ class _NamedEffects:
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifyOptions(_NamedEffects, Options):
-    """Fit inertias, regularized towards the model's, and effects that you name.
+    """Fit inertias, and effects that you name.
+
+    Inertias are regularized towards those of the model.
 
     Attributes:
         export (FILE.urdf|.sdf|.xml): Write a copy of the model file with the identified inertias.
@@ -309,7 +316,7 @@ class IdentifyOptions(_NamedEffects, Options):
 
 @dataclass(frozen=True, kw_only=True)
 class LogCommandOptions(ReadingOptions, ModelOptions, CommonOptions):
-    """Show how logs are read: joints, columns, units, rates, gaps. Needs no model.
+    """Show how logs are read: joints, columns, units, rates, gaps.
 
     Attributes:
         model (MODEL): A model, to match its joints and check the columns.
@@ -364,7 +371,7 @@ class IdentifiableOptions(_NamedEffects, ValidationOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class ExciteOptions(_NamedEffects, ModelOptions, CommonOptions):
-    """Design the most informative motion within the limits of the robot.
+    """Design the most informative motion within the robot's limits.
 
     Attributes:
         tell_apart (EFFECT,EFFECT[@PLACE]): Find the motion that best distinguishes two effects,
@@ -428,6 +435,7 @@ class ExciteOptions(_NamedEffects, ModelOptions, CommonOptions):
     rate: float = 100.0
     report: Path | None = None
     meshcat: Path | None = None
+    details: bool = False
     trajectory: str = "fourier"
     duration: float = 10.0
     harmonics: int | None = None
@@ -455,7 +463,9 @@ class ExciteOptions(_NamedEffects, ModelOptions, CommonOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class CheckOptions(ModelOptions, CommonOptions):
-    """Compare the model's dynamics with MultibodyPlant. Exit code 1 if they differ.
+    """Compare the model's dynamics with MultibodyPlant.
+
+    The exit code is 1 if they differ.
 
     Attributes:
         samples (N): Number of random states within the robot's limits.
@@ -474,7 +484,9 @@ class CheckOptions(ModelOptions, CommonOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class DigestOptions(ReadingOptions, ModelOptions, CommonOptions):
-    """Reduce each log to a small file for fleets. Exit code 1 if any log fails.
+    """Reduce each log to a small file for fleets.
+
+    The exit code is 1 if any log fails.
 
     Attributes:
         to (FOLDER): Folder of digests of robots with this model; created if missing. The first
@@ -501,7 +513,7 @@ class DigestOptions(ReadingOptions, ModelOptions, CommonOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions(ReadingOptions, ModelOptions, CommonOptions):
-    """Write the model for a simulator or controller, and verify what was written.
+    """Write the model for a simulator or controller, and verify it.
 
     Attributes:
         logs (LOG): Logs on whose motion effects that the format lacks are approximated, and the
@@ -545,7 +557,7 @@ class ExportOptions(ReadingOptions, ModelOptions, CommonOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class FleetOptions(CommonOptions):
-    """Show which robots of a fleet changed, at which joint, by which effect, and since when.
+    """Show which robots of a fleet changed, where, how and when.
 
     Attributes:
         fleet (FLEET.yaml): Robot types and their models, robots and patterns of their logs, and the
@@ -582,7 +594,7 @@ _ARGUMENTS = ("effect", "model", "logs", "folder", "fleet")
 _FIRST = (*_ARGUMENTS, "save", "report", "json")
 _RARE = {"bandwidth", "blocks", "debug", "effort_uncertainty", "known_payload"}
 _RARE |= {"no_auto_lock", "series", "horizon", "windows", "live", "speed", "seconds", "quiet"}
-_RARE |= {"ellipsoids", "scheduler", "workers"}
+_RARE |= {"ellipsoids", "rate", "scheduler", "workers"}
 _ENTRY = re.compile(r"(?P<name>\w+)(?: \((?P<metavar>[^)]*)\))?: (?P<help>.*)")
 
 

@@ -56,13 +56,14 @@ def excitation_page(result: ExcitationResult, about: About) -> Page:
         )
         for start in result.outcomes
     ]
-    first, *more = excitation_sentences(result)
+    headline, *more = excitation_sentences(result)
     facts = dict(zip(("Hardest", "Warning"), more, strict=False))
     if more and not is_separation:
-        (first,), facts = more, {"Criterion": first}
+        (headline,) = more
+        facts = {"Criterion": _criterion_words(result), "Improvement": _gain_words(result)}
     return Page(
         about,
-        first,
+        headline,
         (
             _pairs_section(result, units) if is_separation else _directions_section(result),
             Section(
@@ -80,12 +81,13 @@ def excitation_page(result: ExcitationResult, about: About) -> Page:
                     else f"The criterion is {result.objective.criterion.name}."
                 ),
                 tables=(Table(_STARTS, starts, words=2),),
+                deep=True,
             ),
             Section("Notes", items=result.notes),
         ),
         of=f"{about.model}: {_motion_words(result)}",
         verdict="designed",
-        facts={**facts, **_motion_facts(result, units)},
+        facts={**facts, **_motion_facts(result)},
         tiles=_tiles(result),
         footer="Made by geodrake. Limits also hold between samples; the information is that of "
         "the samples with the requested noise.",
@@ -111,8 +113,8 @@ def _motion_words(result: ExcitationResult) -> str:
 
 def excitation_sentences(result: ExcitationResult) -> list[str]:
     """Return the value of a designed motion in sentences."""
-    gained = improvement(result)
     if pairs := distinguished_pairs(result):
+        gained = improvement(result)
         hardest, units = pairs[0], Units.of(result.objective.target.model)
         sentences = [
             f"Every pair differs by at least {number(hardest.deviations)} standard deviations of "
@@ -124,12 +126,8 @@ def excitation_sentences(result: ExcitationResult) -> list[str]:
         ]
         is_hard = hardest.deviations < CLEAR
         return [*sentences, *["Such a log will hardly distinguish them."] * is_hard]
-    criterion, normalization = result.objective.criterion.name, result.objective.normalization
-    words = f"{criterion.replace('_', ' ')} {number(result.value)}"
-    if criterion == "e_optimality" and normalization == "geometric":
-        words += f": the worst direction has a relative deviation of {relative(result.value**0.5)}"
-    sentences = [capitalized(f"{words}; {_times(gained)} better than the best random motion.")]
-    if normalization == "geometric":
+    sentences = [f"{_criterion_words(result)}; {_gain_words(result)}."]
+    if result.objective.normalization == "geometric":
         sentences.append(
             f"Its {result.samples} samples identify {identifiable_directions(result)} of "
             f"{len(result.eigenvalues)} directions to within {percent(THRESHOLD**0.5)}."
@@ -137,12 +135,25 @@ def excitation_sentences(result: ExcitationResult) -> list[str]:
     return sentences
 
 
+def _criterion_words(result: ExcitationResult) -> str:
+    """Return the criterion of a design with its value."""
+    criterion, normalization = result.objective.criterion.name, result.objective.normalization
+    words = capitalized(f"{criterion.replace('_', ' ')} {number(result.value)}")
+    if criterion == "e_optimality" and normalization == "geometric":
+        words += f": the worst direction has a relative deviation of {relative(result.value**0.5)}"
+    return words
+
+
+def _gain_words(result: ExcitationResult) -> str:
+    return f"{_times(improvement(result))} better than the best random motion"
+
+
 def _times(factor: float) -> str:
     return f"{number(factor)} times" if np.isfinite(factor) else "infinitely"
 
 
-def _motion_facts(result: ExcitationResult, units: Units) -> dict[str, str]:
-    """Return the distances, balance, start and duration of a motion, where they apply."""
+def _motion_facts(result: ExcitationResult) -> dict[str, str]:
+    """Return the distances, balance and duration of a motion, where they apply."""
     use, trajectory, stance = result.use, result.trajectory, result.trajectory.stance
     facts = {}
     if use.clearances:
@@ -160,13 +171,10 @@ def _motion_facts(result: ExcitationResult, units: Units) -> dict[str, str]:
             f"coefficient {stance.friction:g}"
         )
     if trajectory.length:
-        pairs = zip(result.limits.joints, trajectory.states([0.0])[0, 0].tolist(), strict=True)
-        start = ", ".join(f"{joint} {number(q)} {units.at(joint, 'rad')}" for joint, q in pairs)
-        advice = "move the robot there first, or give its rest position with --stand"
+        facts["Before it"] = "move the robot to the start, or give its rest position with --stand"
         if result.ramps is not None:
-            length = f"{result.executed.length:.1f} s"
-            advice = f"{length} with the ramps from and to the rest position"
-        facts["Starts at"] = f"{start}; {advice}"
+            facts["Before it"] = "the robot is at rest, where the motion begins and ends"
+            facts["Duration"] = f"{result.executed.length:.1f} s with the ramps from and to rest"
     return facts
 
 
@@ -282,22 +290,25 @@ def _imitation_chart(result: ExcitationResult, units: Units) -> Chart:
 def _limits_table(result: ExcitationResult, units: Units) -> Table:
     """Return the ranges of the joints, and the largest shares of their limits in a motion."""
     limits, use, rows = result.limits, result.use, []
-    q = result.trajectory.states(result.trajectory.family.times(result.samples))[0]
+    trajectory = result.trajectory
+    q = trajectory.states(trajectory.family.times(result.samples))[0]
+    start = trajectory.states([0.0])[0, 0].tolist()
     for j, joint in enumerate(limits.joints):
         ends = (limits.lower[j], limits.upper[j]), (q[:, j].min(), q[:, j].max())
         ranges = (f"{number(float(low))} … {number(float(high))}" for low, high in ends)
-        shares = (
+        shares = [
             percent(float(getattr(use, name)[j]))
             if np.isfinite(getattr(limits, name)[j])
             else UNKNOWN
             for name in ("velocity", "acceleration", "jerk", "effort")
-        )
+        ]
         peaks = (float(use.peaks[name][j]) for name in ("velocity", "acceleration"))
         name = f"{joint}, {units.at(joint, 'rad')}"
-        rows.append(cells(name, *ranges, percent(float(use.position[j])), *shares, *peaks))
+        position = percent(float(use.position[j]))
+        rows.append(cells(name, start[j], *ranges, position, *shares, *peaks))
     shares_of = ("range", "velocity", "acceleration", "jerk", "effort")
-    head = ("joint", "limits", "moves in", *shares_of, "peak speed", "peak acceleration")
-    return Table(head, rows)
+    head = ("joint", "start", "limits", "moves in", *shares_of, "peak speed", "peak acceleration")
+    return Table(head, rows, deep=("range", "jerk", "peak speed", "peak acceleration"))
 
 
 def _motion_chart(result: ExcitationResult, units: Units) -> Chart:
@@ -361,14 +372,16 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
                 "Relative deviation along principal directions, and their largest components.",
                 tables=(_directions_table(found),),
                 charts=(_identifiable_chart(found),),
+                deep=True,
             ),
             Section(
                 "Not identifiable",
                 f"{len(unidentifiable)} of {found.possible} combinations of parameters in SI "
                 f"units; the {len(combinations)} worst are shown, --json has all.",
                 tables=(Table(_COMBINATION, combinations),),
+                deep=True,
             ),
-            Section("Notes", items=found.notes),
+            Section("Notes", items=found.notes, deep=True),
         ),
         verdict="identifiable",
         facts=_identifiable_facts(found),

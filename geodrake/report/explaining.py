@@ -64,7 +64,7 @@ if TYPE_CHECKING:
     from geodrake.control.rollout import Rollout
 
 REST = "What the remaining error varies with"
-_EVEN = "no joint has a much larger error under any one condition."
+_EVEN = "No joint has a much larger error under any one condition."
 _IDENTIFIED = Stage("identified", "after")
 _RESIDUAL = Stage("residual without it", "measured", look="wide")
 _FORMULA = Stage("formula on held-out data", "after")
@@ -122,7 +122,9 @@ class _Errors:
     def sections(self) -> tuple[Section, Section]:
         """Return the errors of all joints, and where they are concentrated."""
         chart = effort_chart(self.models, self.units, self.between)
-        failing = [failing_table(stage.label, c) for stage, c in self.models.items()]
+        several = len(self.models) > 1
+        labels = [words.capitalized(stage.label) * several for stage in self.models]
+        failing = list(map(failing_table, self.models.values(), labels))
         return (
             Section(
                 "Joint by joint",
@@ -139,7 +141,7 @@ class _Errors:
                 "Where it fails",
                 "The condition under which the error of a joint is largest, and its RMS there.",
                 tables=tuple(failing),
-                items=tuple(f"{t.title}: {_EVEN}" for t in failing if not t.rows),
+                items=tuple(f"{t.title}. {_EVEN}".lstrip(". ") for t in failing if not t.rows),
                 charts=(chart,),
                 deep=True,
             ),
@@ -608,7 +610,7 @@ def candidates_table(diagnosis: Diagnosis, units: Units) -> Table:
     return Table(head, rows, words=3, deep=("by chance",))
 
 
-def failing_table(title: str, comparison: Comparison) -> Table:
+def failing_table(comparison: Comparison, title: str = "") -> Table:
     """Return where a model fails; rows always include the worst joint."""
     rows = [
         cells(
@@ -623,7 +625,6 @@ def failing_table(title: str, comparison: Comparison) -> Table:
     if len(comparison.errors.joints) > 1 and not (is_named or worst.is_noise):
         rows.insert(0, cells(worst.joint, f"throughout: nrms {number(worst.nrms)}", *[""] * 4))
     head = ("joint", "largest error", "RMS there", "elsewhere", "of squared error", "of samples")
-    title = words.capitalized(title)
     return Table(head, rows, words=2, title=title, deep=("of squared error", "of samples"))
 
 

@@ -156,9 +156,10 @@ def check_page(found: DynamicsCheck, about: About) -> Page:
         for each in (*found.agreements, *([found.second] if found.second else []))
     ]
     table = Table(("quantity", "largest at", "difference", "of", "relative"), rows, words=2)
+    headline, facts = _check_answer(found)
     return Page(
         about,
-        _check_words(found),
+        headline,
         (
             Section(
                 "Largest differences",
@@ -168,44 +169,37 @@ def check_page(found: DynamicsCheck, about: About) -> Page:
             notes_section(found.notes),
         ),
         verdict="checked",
+        facts=facts,
         of=f"{about.model} against MultibodyPlant, {states}",
     )
 
 
-def _check_words(found: DynamicsCheck) -> str:
-    """Return the outcome of a check, in a sentence."""
+def _check_answer(found: DynamicsCheck) -> tuple[str, dict[str, str]]:
+    """Return the outcome of a check in a sentence, and the differences with advice."""
     worst, second = found.worst, found.second
-    file = ""
+    facts = {
+        "Largest difference": f"{_largest(worst)}, relative to the largest value",
+        "Second opinion": f"none: {found.by}",
+    }
     if second is not None:
-        file = f" {found.by}, which reads the file itself, differs by {_largest(second)}."
-    inertias = len(found.repairs) > len(found.left_out)
+        outcome = (
+            "agrees" if second.holds and not found.repairs else f"differs by {_largest(second)}"
+        )
+        facts["Second opinion"] = f"{found.by}, which reads the file itself, {outcome}"
     if found.repairs and found.is_rounding:
+        inertias = len(found.repairs) > len(found.left_out)
         parts = ["has invalid inertias"] if inertias else []
         parts += ["has forces or parts that geodrake does not model"] if found.left_out else []
-        return (
-            f"the file {' and '.join(parts)}, so the checked model differs from the file "
-            "(see Notes). Its largest relative difference from MultibodyPlant is "
-            f"{_largest(worst)}.{file}" + (" Correct the inertias in the file." if inertias else "")
-        )
+        facts["Next"] = "correct the inertias in the file" * inertias
+        return f"The checked model differs from the file, which {' and '.join(parts)}.", facts
     if found.is_rounding and second is not None and not second.holds:
-        return (
-            "geodrake and MultibodyPlant agree, but geodrake reads the file differently "
-            f"from {found.by}: efforts differ by {_largest(second)}. Please report it with "
-            "the file."
-        )
+        facts["Next"] = "please report it with the file"
+        return f"geodrake reads the file differently from {found.by}.", facts
     if found.holds:
-        others = f", as does {found.by}, which reads the file itself" if second is not None else ""
-        caveat = f" No other program could check the file: {found.by}." if second is None else ""
-        largest = max((worst, *([second] if second else [])), key=lambda each: each.relative)
-        return (
-            f"geodrake and MultibodyPlant agree{others}; the largest relative difference is "
-            f"{_largest(largest)}.{caveat}"
-        )
-    return (
-        f"geodrake and MultibodyPlant disagree: a relative difference is {_largest(worst)}, "
-        f"where rounding stays below {TOLERANCE:g}. This is a bug in geodrake; please report "
-        "it with the model."
-    )
+        return "geodrake and MultibodyPlant agree.", facts
+    facts["Next"] = "this is a bug in geodrake: please report it with the model"
+    facts["Largest difference"] += f"; rounding stays below {TOLERANCE:g}"
+    return "geodrake and MultibodyPlant disagree.", facts
 
 
 def _largest(each: Agreement) -> str:

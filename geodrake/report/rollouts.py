@@ -155,7 +155,7 @@ def departures_table(after: Rollout, before: Rollout | None, units: Units) -> Ta
         worst = f"{log} {instant:.1f} s"
         name = _with_unit(joint, units)
         rows.append(cells(name, joint.moved, *ends, departure(joint.relative), worst))
-    heads = ("before", "after") if before else ("departure",)
+    heads = ("before", "after") if before else ("error",)
     return Table(("joint", "moved", *heads, "share of motion", "worst at"), rows)
 
 

@@ -292,7 +292,7 @@ def test_the_worst_joint_is_named_where_it_errs_throughout():
     """The first of five joints fails at some speeds, and the last errs most."""
     one = comparison(joint_names(5), 1.0)
     even = dataclasses.replace(one, errors=errors(joint_names(5)[::-1], 1.0))
-    first, second = ([cell.text for cell in row] for row in failing_table("", even).rows)
+    first, second = ([cell.text for cell in row] for row in failing_table(even).rows)
     assert first[:2] == ["joint_4", "throughout: nrms 0.200"]
     assert second[0] == "joint_0" and second[1].startswith("at speeds below")
     assert "throughout: nrms 0.200" in check_self_contained(page(even))
@@ -302,7 +302,7 @@ def test_where_a_joint_fails_has_its_unit_and_three_digits():
     for rms, unit, words in ((1.67, "N", "1.67 N"), (167.0, "N·m", "167 N·m")):
         case = Failing("slide", "at speeds below 0.05 m/s", rms, 1.0, 0.6, 0.2, unit)
         found = dataclasses.replace(comparison(("slide",), 1.0), failing=(case,))
-        ((_, where, there, elsewhere, *shares),) = failing_table("", found).rows
+        ((_, where, there, elsewhere, *shares),) = failing_table(found).rows
         assert (where.text, there.text, elsewhere.text) == (
             case.circumstance,
             words,

@@ -190,5 +190,5 @@ def test_what_is_downloaded_is_read(cached, monkeypatch):
     monkeypatch.setattr(known, "url", str(shutil.move(here, cached / "elsewhere")))
     git(cached / "elsewhere", "config", "uploadpack.allowAnySHA1InWant", "true")
     shown = run("check", "ur5e_mj")
-    assert f"Downloading {cached / 'elsewhere'}" in shown and "as does MuJoCo" in shown
+    assert f"Downloading {cached / 'elsewhere'}" in shown and "Second opinion: MuJoCo" in shown
     assert here.is_dir() and "Downloading" not in run("check", "ur5e_mj")

@@ -181,15 +181,15 @@ def open_case(
     folds, dataset = _reduced_evenly(folds, trajectories, reduce)
     changed += [_filtered_note(t, fitted=fitted or candidates) for t in trajectories]
     left_out = [f"{t.name}: {t.left_out}" for t in trajectories if t.left_out]
-    first = tuple(dict.fromkeys([*hints, *unused, *left_out]))
-    notes = [*first, *model.notes, *gain_notes, *filter(None, changed)]
-    notes += [f"{t.name}: {note}" for t in trajectories for note in t.notes]
-    notes += [*_still_notes(dataset), f"validated on {len(folds)} held-out folds"]
-    notes += [
+    training = [
         f"the model was fitted to {log.name} before: errors on it are training errors, and a "
         "fit counts it twice"
         for log in trained
     ]
+    first = tuple(dict.fromkeys([*hints, *unused, *left_out, *training]))
+    notes = [*first, *model.notes, *gain_notes, *filter(None, changed)]
+    notes += [f"{t.name}: {note}" for t in trajectories for note in t.notes]
+    notes += [*_still_notes(dataset), f"validated on {len(folds)} held-out folds"]
     return Case(
         model,
         trajectories,
