@@ -33,7 +33,6 @@ from geodrake.inertia import equivalent_ellipsoid
 from geodrake.logs import JointLog, KnownPayload, Motion, write_log
 from geodrake.manifolds import PhysicalInertia, Positive, slab
 from geodrake.robot import LinearTransmission, inverse_dynamics_regressor
-from geodrake.robot.base_parameters import structural_base_parameters
 
 JOINTS, BODIES = ("shoulder", "elbow"), ("upper_link", "lower_link")
 rng = np.random.default_rng(0)
@@ -179,7 +178,6 @@ MASS, COM, MOMENT = inertia.to_mass_com_inertia(PHI)
 ELLIPSOID = equivalent_ellipsoid(PHI[0])
 QUADRIC = ELLIPSOID.scaled(3.0).quadric
 REGRESSOR = inverse_dynamics_regressor(PLANT, Q, V, VD)
-BASE = structural_base_parameters(PLANT)
 DESIRED = PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
     np.linspace(0, 1, 11), np.sin([np.linspace(0, 1, 11), np.linspace(0, 2, 11)])
 )
@@ -230,29 +228,22 @@ BY_KIND = {
 }
 """Words of an annotation -> a value of a required argument."""
 BY_NAME = {
-    "phi": PHI, "phi1": PHI, "phi2": 1.2 * PHI, "reference": PHI, "prior": PHI, "covector": PHI,
-    "R_AB": np.eye(3), "p_AoBo_A": np.array([0.1, 0.2, 0.3]), "com": COM, "inertia_com": MOMENT,
-    "matrix": PSEUDO, "P": PSEUDO, "P1": PSEUDO, "P2": 1.5 * PSEUDO[::-1], "V": 0.1 * PSEUDO,
-    "X": PSEUDO, "Y": 1.5 * PSEUDO, "matrices": PSEUDO, "center": ELLIPSOID.center,
-    "semi_axes": ELLIPSOID.semi_axes, "rotation": ELLIPSOID.rotation,
-    "points": rng.normal(size=(9, 3)), "Q": QUADRIC, "quadric": QUADRIC, "count": 3, "size": 22,
-    "masses": np.ones((2, 3)), "positions": np.ones((2, 3, 3)), "q": Q, "v": V, "vd": VD,
-    "X_WP": np.eye(4), "regressor": REGRESSOR, "wrench": np.arange(1.0, 31.0).reshape(5, 6),
-    "A": SCATTER, "b": MEASURED, "sigma": np.full(60, 0.01), "gamma": 1.0, "sign_width": WIDTH,
-    "efforts": V, "body": 1, "bodies": BODIES, "joints": JOINTS, "joint": "shoulder",
-    "where": ("shoulder",), "findings": (), "names": (BODIES[0],), "lower": np.zeros(2),
-    "upper": np.ones(2), "lock": {}, "mass_matrix": np.eye(2), "error": np.ones(4), "rate": 10.0,
-    "back_emf_constant": 0.05, "resistance": 0.3, "effort_limits": TWO, "largest_gap": 0.1,
-    "bandwidth": 8.0, "blocks": 4, "noise": WIDTH, "actuator_points": np.linspace(-1, 1, 5),
-    "joint_points": np.sin(np.linspace(-1, 1, 5)), "ground": 0.3, "crank": 0.1, "coupler": 0.3,
-    "start": 1.0, "end": 2.0, "days": np.arange(4.0), "weights": TWO, "temperature": np.ones(4),
-    "columns": (1,), "robot": "a", "frequency": 0.2, "velocity": 2.0, "acceleration": 10.0,
-    "effort": 50.0, "held": {"elbow": 0.1}, "language": "cpp", "to": "urdf", "kind": "current",
-    "extra": (), "total_mass": float(MASS.sum()), "limit": 50.0,
+    "phi": PHI, "phi1": PHI, "phi2": 1.2 * PHI, "reference": PHI, "prior": PHI, "R_AB": np.eye(3),
+    "p_AoBo_A": np.array([0.1, 0.2, 0.3]), "com": COM, "inertia_com": MOMENT, "matrix": PSEUDO,
+    "matrices": PSEUDO, "center": ELLIPSOID.center, "semi_axes": ELLIPSOID.semi_axes,
+    "rotation": ELLIPSOID.rotation, "points": rng.normal(size=(9, 3)), "Q": QUADRIC,
+    "quadric": QUADRIC, "count": 3, "size": 22, "q": Q, "v": V, "vd": VD, "X_WP": np.eye(4),
+    "regressor": REGRESSOR, "wrench": np.arange(1.0, 31.0).reshape(5, 6), "A": SCATTER,
+    "b": MEASURED, "sigma": np.full(60, 0.01), "gamma": 1.0, "sign_width": WIDTH, "body": 1,
+    "bodies": BODIES, "joints": JOINTS, "joint": "shoulder", "where": ("shoulder",), "findings": (),
+    "names": (BODIES[0],), "lower": np.zeros(2), "upper": np.ones(2), "lock": {}, "rate": 10.0,
+    "effort_limits": TWO, "largest_gap": 0.1, "bandwidth": 8.0, "blocks": 4, "noise": WIDTH,
+    "start": 1.0, "end": 2.0, "weights": TWO, "temperature": np.ones(4), "robot": "a",
+    "frequency": 0.2, "acceleration": 10.0, "effort": 50.0, "held": {"elbow": 0.1}, "to": "urdf",
+    "kind": "current", "extra": (), "total_mass": float(MASS.sum()), "limit": 50.0,
     "parameters": control_model().prior, "scheduler": "tcp://a:1", "truth": control_model().prior,
-    "date": 1.7e9, "units": {}, "columns: tuple[str, ...]": (),
-    "path": in_folder("log.csv"), "regularizer": "entropic", "theta": Q,
-    "signal": V, "starts": ("entropic",), "kept": 2, "texts": ("table=box:0.6,0.8,0.05@0.5,0,0.4",),
+    "date": 1.7e9, "units": {}, "columns: tuple[str, ...]": (), "regularizer": "entropic",
+    "theta": Q, "path": in_folder("log.csv"), "signal": V, "starts": ("entropic",), "kept": 2,
 }  # fmt: skip
 """Name of an argument -> its value in any function."""
 
@@ -266,10 +257,8 @@ IN_FOLDER = {
 """Name of a callable -> the file in the folder that it reads or writes."""
 BY_CALL = {
     **{call: {"path": in_folder(name)} for call, name in IN_FOLDER.items()},
-    "FilteredRegressor": {"period": 0.001},
     "Reading": {"rate": None},
-    "Positive": {"dimension": 2},
-    "Free": {"dimension": 2},
+    **{manifold: {"dimension": 2} for manifold in ("Positive", "Free")},
     "body_limits": {"rows": np.eye(10)[:1], "lower": [0.1], "upper": [9.0]},
     "center_of_mass_box": {"lower": -np.ones(3), "upper": np.ones(3)},
     "parameter_limits": {"indices": (1, 2)},
@@ -278,7 +267,6 @@ BY_CALL = {
     "ConstantMetric": {"matrix": 2 * np.eye(2), "inverse": 0.5 * np.eye(2)},
     "PartialLaw": {"law": AdaptationLaw(PhysicalInertia(), 2.0), "adapted": np.arange(22) < 10},
     "FittedEffect": {"effect": friction("elbow"), "parameters": [0.3], "deviations": [0.1]},
-    "pushforward_metric": {"matrix": BASE.matrix, "extra": None},
     "RobotInstance.set_state": {"state": np.ones(4)},
     "RobotInstance": {"name": "double_pendulum"},
     "log_of_frame": {"frame": dict(zip(HEADER.split(","), _ROWS.T, strict=True))},
@@ -289,9 +277,7 @@ BY_CALL = {
     "roll_out": {"logs": Fresh(lambda: (log(3.0),))},
     "fit_rollouts": {"model": Fresh(soft), "logs": Fresh(lambda: (log(3.0),)), "most": 4},
     "export_to": {"folder": in_folder("out"), "force": True},
-    "log_content": {"path": Path("written.csv")},
     "load_model": {"path": in_folder("model.yaml"), "transmission": None},
-    "load_plant": {"path": PENDULUM, "phi": None, "into": None},
     "digest_logs": {"to": in_folder("digests"),
         "payloads": Fresh(lambda: {folder() / "log.csv": (KnownPayload("lower_link", 0.3),)})},
     "LogFacts": {"episode": 0},
@@ -314,7 +300,6 @@ BY_CALL = {
     "make_effect": {"name": "joint_spring", "shape": {"exponent": 3}},
     "make_rival": {"name": "coulomb_friction"},
     "add": {"effect": "coulomb_friction"},
-    "Criterion": {"name": "e_optimality"},
     "motion_limits": {"position": {"shoulder": (-1.0, 1.0)}, "velocity": {"shoulder": 2.0}},
     "DesignOptions": {"start": np.zeros(2), "stance": None},
     "Stance.noise": {"noise": 0.1},
@@ -342,7 +327,7 @@ BY_CALL = {
     "digest_files": {"folder": Fresh(folder)},
     "JointLog": {"time": log().time, "position": log().position, "effort": log().effort,
         "velocity": log().position, "temperature": None},
-    "SampleUpdate": {"tolerance": WIDTH, "prior": control_model().prior, "relaxation": 0.5},
+    "SampleUpdate": {"prior": control_model().prior, "relaxation": 0.5},
     "RobotModel.motion": {"load": V},
     "RobotModel.with_fit": {"effects": Fresh(lambda: model().effects),
         "information": np.eye(22)},
