@@ -149,7 +149,7 @@ class Line:
     low: float | None = None
     high: float | None = None
     logs: int = 0
-    highest: float | None = None  # upper bound if `bar` is a lower bound
+    highest: float | None = None  # upper bound of the interval's low end, if `bar` is a lower bound
 
     @property
     def reached(self) -> bool | None:
@@ -158,7 +158,8 @@ class Line:
             return None
         if self.most:
             return self.value <= self.bar
-        return self.bar <= self.value <= (1.0 if self.highest is None else self.highest)
+        is_below = self.highest is None or self.low is None or self.low <= self.highest
+        return self.bar <= self.value and is_below
 
 
 def told(lines: Sequence[Line]) -> list[dict[str, Any]]:
