@@ -210,20 +210,13 @@ class LogModel:
             self.owner[at], self.positive[at[term.positive]] = k, True
         rates, unsure_delay = self._rates()
         places = self._places(columns, rates)
-        # Normal matrix of each block over its joint's columns, efforts, load and effort rate,
-        # padded with zeros; `places` are the indices of the model's columns in it.
+        # Indices of the model's columns in the normal matrix of each block.
         self._unsure = {effect.joint: self._unsure_column(effect) for effect in self._reversals}
         blocks = self._blocks()
         self.joint_of = np.array([j for j, _, _ in blocks])
         self._reversing = {j: nv + k for k, j in enumerate(self.joint_of[nv:].tolist())}
         self.block_rows = np.array([max(rows, 1) for _, rows, _ in blocks], float)
-        self.grams = np.zeros((len(blocks), *[max(map(len, self._mixed)) + 3] * 2))
-        for block, (j, _, gram) in zip(self.grams, blocks, strict=True):
-            n, mixed = len(gram), self._mixed[j]
-            block[:n, :n] = gram
-            block[:n, n : n + 2] = gram @ mixed
-            block[n : n + 2, :n] = block[:n, n : n + 2].T
-            block[n : n + 2, n : n + 2] = mixed.T @ block[:n, n : n + 2]
+        self._store(blocks)
         self.only_joint = {
             term: self._only_joint(term, places[:, at]) for term, at in self.at.items()
         }
@@ -231,7 +224,7 @@ class LogModel:
         self.places, self._inertias = places[self.joint_of], self._inertias[self.joint_of]
         self._ends = np.array([len(joint.columns) for joint in data.data])
         lags = self._ends[self.joint_of, None] + np.arange(len(data.delays))
-        self._powers = self.grams[np.arange(len(blocks))[:, None], lags, lags]  # bᵀb by delay
+        self._powers = self._entries(lags.T, lags.T).T  # bᵀb by delay
         # The columns before those of terms, which all fits share.
         first = self.places[:, : self.first_term].copy()
         self._common = calc_packed(self.grams, first, empty_packed(len(blocks)))
@@ -243,6 +236,25 @@ class LogModel:
             for _ in effect.parameters
         ]
         self._nuisances = np.concatenate([gains, np.full(nv + 1, unsure_delay**-2.0), unsure])
+
+    def _store(self, blocks: Sequence[tuple[int, int, Array]]) -> None:
+        """Store the normal matrices of blocks one after another, with further columns.
+
+        They have a joint's columns and efforts, its load, the rate of its effort, and zeros.
+        """
+        widths = np.array([len(self._mixed[j]) + 3 for j in self.joint_of.tolist()])
+        ends = np.cumsum(widths**2)
+        self.grams = np.zeros(ends[-1]), ends - widths**2, widths
+        self._matrices = [
+            self.grams[0][end - width**2 : end].reshape(width, width)
+            for end, width in zip(ends.tolist(), widths.tolist(), strict=True)
+        ]
+        for block, (j, _, gram) in zip(self._matrices, blocks, strict=True):
+            n, mixed = len(gram), self._mixed[j]
+            block[:n, :n] = gram
+            block[:n, n : n + 2] = gram @ mixed
+            block[n : n + 2, :n] = block[:n, n : n + 2].T
+            block[n : n + 2, n : n + 2] = mixed.T @ block[:n, n : n + 2]
 
     @staticmethod
     def _only_joint(term: Term, places: Indices) -> int:
@@ -669,10 +681,14 @@ class LogModel:
 
     def moments(self, columns: Indices, delay: Delay) -> tuple[Array, Array]:
         """Return Aᵀb (B, n) and bᵀb (B,), with efforts shifted by a delay."""
-        blocks, efforts = np.arange(len(self.grams)), self.efforts(delay)
-        places = self.places.take(columns, axis=1)  # −1 is the last row, of zeros
-        own = self.grams[blocks[:, None], efforts[:, None], places]
-        return own, self.grams[blocks, efforts, efforts]
+        efforts = self.efforts(delay)
+        own = self._entries(efforts, self.places.take(columns, axis=1).T)  # −1 is the column of 0
+        return np.ascontiguousarray(own.T), self._entries(efforts, efforts)
+
+    def _entries(self, rows: Indices, columns: Indices) -> Array:
+        """Return entries (…, B) of the blocks' normal matrices."""
+        entries, starts, widths = self.grams
+        return np.asarray(entries.take(starts + widths * rows + columns % widths))
 
     def shares(self, fit: Fit) -> Array:
         """Return the effective samples per row (nv,) of a fit's residuals."""
@@ -721,12 +737,12 @@ class LogModel:
             change = calc_noise_changes(signals, counted_rows, index, lags - lags[index], period)
             at = self._ends[j] + np.arange(len(change))
             scale = self.block_rows[block] / counted.sum()
-            self.grams[block, at, at] = self._powers[block] - change * scale
+            self._matrices[block][at, at] = self._powers[block] - change * scale
 
     def _residuals(self, fit: Fit, joint: int) -> list[Array]:
         """Return the residuals (K_i,) of a joint in each stretch of its rows."""
         data, delay = self.dataset.data[joint], fit.choice.delay[joint]
-        x, mixed = np.zeros(len(self.grams[joint])), self._mixed[joint]
+        x, mixed = np.zeros(len(self._matrices[joint])), self._mixed[joint]
         np.add.at(x, self.places[joint][fit.columns], fit.x)
         weights, count = x[: len(mixed)] + mixed @ x[len(mixed) : len(mixed) + 2], len(data.columns)
         used = np.flatnonzero(weights[:count])  # only a few columns

@@ -137,6 +137,17 @@ class _MoveFinder:
                     kinds.setdefault(name, []).append(terms[0])
         self.everywhere = [*kinds.values()]
 
+    @cached_property
+    def _absent(self) -> list[Term]:
+        """Candidates that are not in the fit."""
+        present = set(self.fit.terms)
+        return [term for term in self.terms if term not in present]
+
+    @cached_property
+    def _absent_shared(self) -> list[Term]:
+        """Those of them that do not belong to a single joint."""
+        return [term for term in self._absent if term.joint is None]
+
     def moves(self) -> Iterator[Move]:
         """Yield all moves that may gain."""
         yield from self.additions()
@@ -181,8 +192,7 @@ class _MoveFinder:
     def additions(self) -> Iterator[Move]:
         """Add one term, the best of every joint together, or one kind at all joints."""
         present = self.fit.terms
-        offered = [(term,) for term in self.terms if term not in present]
-        moves = self._moves(present, offered, most=None)
+        moves = self._moves(present, [(term,) for term in self._absent], most=None)
         yield from moves[:_MOST]
         best, kinds = dict[str, tuple[Term, float]](), dict[str, dict[str, tuple[Term, float]]]()
         for move in moves:
@@ -286,14 +296,11 @@ class _MoveFinder:
 
     def _replacements(self, term: Term) -> Iterator[Move]:
         """Drop one term, or replace it; not both old and new terms belong to one joint."""
-        present, dropped = self.fit.terms, self.around.dropped([term])
-        rest = tuple(other for other in present if other is not term)
+        dropped = self.around.dropped([term])
+        rest = tuple(other for other in self.fit.terms if other is not term)
         yield from self._without(rest, dropped)
-        others: list[Terms] = [
-            (other,)
-            for other in self.terms
-            if other not in present and (term.joint is None or other.joint is None)
-        ]
+        offered = self._absent if term.joint is None else self._absent_shared
+        others: list[Terms] = [(other,) for other in offered]
         if term.joint is None:  # one kind at several joints may replace it
             for kind in self.everywhere:
                 free = [t for t in kind if t not in rest]
@@ -322,8 +329,7 @@ class _MoveFinder:
             if joints == {None}:
                 continue
             others = [term for term in self.terms if term.name != name]
-            shared = [(t,) for t in self.terms if t.joint is None and t not in present]
-            yield from self._moves(rest, shared, dropped)
+            yield from self._moves(rest, [(term,) for term in self._absent_shared], dropped)
             best = dict[str, dict[str, tuple[float, Term]]]()
             candidates = [(term,) for term in others if term.joint in joints]
             for gain, (term,) in self._offers(rest, candidates, dropped):

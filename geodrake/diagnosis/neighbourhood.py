@@ -118,8 +118,9 @@ class Neighbourhood:
         (prior, _), mean = model.prior(fit.choice), model.mean[columns]
         best = list[tuple[Delay, float]]()
 
-        def distance(x: Array) -> float:
-            return float((x - mean) @ prior @ (x - mean))
+        def distances(x: Array) -> Array:
+            """Return (K,) squared distances of parameters (K, n) from the prior."""
+            return np.asarray(np.sum((x - mean) @ prior * (x - mean), axis=1))
 
         def odds(delay: Delay) -> float:
             return model.odds_against(replace(fit.choice, delay=delay))
@@ -133,14 +134,14 @@ class Neighbourhood:
         for moved in free if any(servos) else (joints, *free):
             tried, at = [], np.flatnonzero(np.isin(model.joint_of, moved))
             part = packed if len(at) == len(sse) else packed_blocks(packed, at)
+            pulls = [fit.weights[at] @ (moments[at] - now[at]) for moments, _ in shifted]
+            x = exact + np.array(pulls) @ inverse
+            nearer = distances(exact[None]) - distances(x)
             for k, (moments, powers) in enumerate(shifted):
-                x = exact + inverse @ (fit.weights[at] @ (moments[at] - now[at]))
-                residual = calc_squares((part, moments[at], powers[at]), x)
+                residual = calc_squares((part, moments[at], powers[at]), x[k])
                 ratio = np.maximum(residual / sse[at], 1e-12)
                 delay = tuple(k if j in moved else current[j] for j in joints)
-                tried.append(
-                    (delay, distance(exact) - distance(x) - float(samples[at] @ np.log(ratio)))
-                )
+                tried.append((delay, float(nearer[k] - samples[at] @ np.log(ratio))))
             tried = [each for each in tried if model.delays_differ(each[0], current)]
             best.append(max(tried, key=lambda each: each[1] - odds(each[0])))
             on_time = tuple(model.on_time[j] if j in moved else current[j] for j in joints)

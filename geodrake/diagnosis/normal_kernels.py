@@ -2,7 +2,7 @@
 
 Block j contains rows of one joint. Its normal matrix G_j covers all columns that affect the joint,
 and `places` (j, a) is the index in G_j of column a of a fit, negative if the column does not affect
-the joint.
+the joint. All G_j are stored one after another.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ from geodrake.identification.normal_equations import calc_solution
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
+Grams = tuple[Array, Indices, Indices]
+"""Entries of the normal matrices of all blocks, row by row; the first one and width of each."""
 Packed = tuple[Indices, Indices, Array]
 """Columns of all blocks, ascending, the end of each block, and lower triangles, row by row."""
 Normal = tuple[Packed, Array, Array]
@@ -36,13 +38,13 @@ _LATE_ROW = 0.1  # of a period, by which the instants of consecutive rows may be
 
 
 @compiled
-def calc_packed(grams: Array, places: Indices, known: Packed) -> Packed:
+def calc_packed(grams: Grams, places: Indices, known: Packed) -> Packed:
     """Gather the normal-matrix entries of columns at places (J, n) into contiguous storage.
 
     Repeated fits then avoid the gather. Entries of the first columns, which many fits share, are
     copied from `known`.
     """
-    _, known_ends, known_lower = known
+    (entries, starts, widths), (_, known_ends, known_lower) = grams, known
     count, size = 0, 0
     for j in range(len(places)):
         affected = 0
@@ -64,9 +66,9 @@ def calc_packed(grams: Array, places: Indices, known: Packed) -> Packed:
             lower[at + k] = known_lower[known_at + k]
         at, known_at = at + shared, known_at + shared
         for i in range(ends[j] + first, end):
-            row = grams[j, places[j, columns[i]]]
+            row = starts[j] + widths[j] * places[j, columns[i]]
             for k in range(ends[j], i + 1):
-                lower[at + k - ends[j]] = row[places[j, columns[k]]]
+                lower[at + k - ends[j]] = entries[row + places[j, columns[k]]]
             at += i + 1 - ends[j]
     return columns, ends, lower
 
@@ -212,33 +214,39 @@ def _is_infeasible(x: Array, owner: Indices, positive: NDArray[np.bool_]) -> boo
 
 
 @compiled
-def calc_products(grams: Array, weights: Array, places: tuple[Indices, Indices]) -> Array:
+def calc_products(grams: Grams, weights: Array, places: tuple[Indices, Indices]) -> Array:
     """Return the weighted products (n, m) of columns at places (J, n) with others at (J, m)."""
-    ones, others = places
+    (entries, starts, widths), (ones, others) = grams, places
     products = np.zeros((ones.shape[1], others.shape[1]))
-    for j in range(len(grams)):
-        felt = np.flatnonzero(others[j] >= 0)
-        local = others[j][felt]
-        for a in np.flatnonzero(ones[j] >= 0):
-            row, total = grams[j, ones[j, a]], products[a]
-            for k in range(len(felt)):
-                total[felt[k]] += weights[j] * row[local[k]]
+    felt = np.empty(others.shape[1], np.intp)
+    for j in range(len(weights)):
+        count = 0
+        for b in range(others.shape[1]):
+            if others[j, b] >= 0:
+                felt[count] = b
+                count += 1
+        for a in range(ones.shape[1]):
+            if ones[j, a] >= 0:
+                row, total = starts[j] + widths[j] * ones[j, a], products[a]
+                for k in range(count):
+                    total[felt[k]] += weights[j] * entries[row + others[j, felt[k]]]
     return products
 
 
-Schur = tuple[Array, tuple[Array, Array, Indices], Array]
+Schur = tuple[Array, tuple[Grams, Array, Indices], Array]
 """Schur complement (D, D) of distinct columns beside a fit, NaN where not computed yet; its normal
 matrices, weights (J,) and places (J, D); and rows (D, n), whose products are subtracted."""
 
 
 @inlined
 def _schur_complement(schur: Schur, a: int, b: int) -> float:
-    known, (grams, weights, places), rows = schur
+    known, ((entries, starts, widths), weights, places), rows = schur
     if np.isnan(known[a, b]):
         total = 0.0
         for j in range(len(weights)):
             if places[j, a] >= 0 and places[j, b] >= 0:
-                total += weights[j] * grams[j, places[j, a], places[j, b]]
+                entry = starts[j] + widths[j] * places[j, a] + places[j, b]
+                total += weights[j] * entries[entry]
         known[a, b] = known[b, a] = total - rows[a] @ rows[b]
     return known[a, b]
 
