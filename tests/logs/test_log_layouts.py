@@ -67,18 +67,6 @@ def test_no_header_and_no_time(tmp_path):
     assert np.allclose(log.time, np.arange(ROWS) / 250.0)
 
 
-def test_units_by_option(read_table):
-    time, q, v, tau = motion(("a",))
-    names = ["time", "a.position", "a.velocity", "a.effort"]
-    columns = named(names, 1e3 * time, np.rad2deg(q), v * 30 / np.pi, 1e3 * tau / 2)
-    units = {"time": "ms", "position": "°", "velocity": "rpm", "effort": "mA"}
-    log = read_table(columns, units=units, gains={"a": 2.0})
-    check(log, ("a",), q, v, tau)
-    assert np.allclose(log.time, time)
-    for words in ("position is in deg", "velocity is in rpm", "effort is in mA", "time is in ms"):
-        assert any(words in note for note in log.notes)
-
-
 def test_joined_files_without_a_common_clock(tmp_path):
     time, q, _, tau = motion(("a",))
     first = write(tmp_path / "positions.csv", ["time", "a"], [time, q])

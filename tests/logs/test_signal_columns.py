@@ -76,7 +76,8 @@ def test_commands_stand_for_efforts():
 
 @pytest.mark.parametrize("suffix", [".csv", ".npz", ".parquet", ".mat"])
 def test_own_names_in_files_and_back(tmp_path, suffix):
-    columns = {**own(position=Q), "shoulder.current": S[:, 0], "elbow.command": C[:, 1]}
+    columns = {**own(position=Q, temperature=30.0 + S), "shoulder.current": S[:, 0]}
+    columns["elbow.command"] = C[:, 1]
     log = read_log(saved(tmp_path / f"log{suffix}", columns), joints=JOINTS)
     check_mixed(log)
     for again in ("again.csv", "again.npz"):
@@ -86,13 +87,16 @@ def test_own_names_in_files_and_back(tmp_path, suffix):
 
 
 def check_mixed(log):
-    """Check that the first joint has currents, and the second commands alone."""
+    """Check that the first joint has currents, the second commands alone, and both temperatures."""
     assert log.joints == JOINTS
     assert log.effort_kinds == {"shoulder": "current"}
     assert np.array_equal(log.effort[:, 0], S[:, 0])
     assert np.isnan(log.effort[:, 1]).all()
     assert np.isnan(log.command[:, 0]).all()
     assert np.array_equal(log.command[:, 1], C[:, 1])
+    assert np.array_equal(log.temperature, 30.0 + S)
+    assert np.array_equal(log.select(["elbow"]).temperature, 30.0 + S[:, 1:])
+    assert not any("ignored" in note for note in log.notes)
 
 
 def test_efforts_win_over_currents_and_these_over_voltages_and_duty_cycles():
@@ -517,17 +521,6 @@ WARMTH = np.stack([30.0 + CLOCK, 45.0 - 0.5 * CLOCK], 1)
 
 def log_with(temperature):
     return JointLog("warm", JOINTS, CLOCK, SWING, np.cos(SWING), temperature=temperature)
-
-
-@pytest.mark.parametrize("suffix", [".csv", ".npz"])
-def test_a_log_keeps_them(tmp_path, suffix):
-    path = tmp_path / f"log{suffix}"
-    write_log(log_with(WARMTH), path)
-    again = read_log(path)
-    np.testing.assert_array_equal(again.temperature, WARMTH)
-    assert not any("ignored" in note for note in again.notes)
-    np.testing.assert_array_equal(again.select(["elbow"]).temperature, WARMTH[:, 1:])
-    assert list(again.to_dataframe())[-1] == "elbow.temperature"
 
 
 def frame_with(form, warmth):

@@ -949,17 +949,12 @@ MARKS = {
 }
 
 
-def marked(tmp_path, kind, turns=2000.0, positions=None):
+def marked(tmp_path, kind):
     """Return a table of degrees and N·mm with thousands separators."""
     separator, form, swap = MARKS[kind]
-    numbers = np.column_stack([1000.0 * (5.0 + TIME), turns * POSITION, 3000.0 * EFFORT])
+    numbers = np.column_stack([1000.0 * (5.0 + TIME), 2000.0 * POSITION, 3000.0 * EFFORT])
     swapped = str.maketrans(dict(zip(swap[::2], swap[1::2], strict=False)) if swap else {})
     rows = [[form.format(x).translate(swapped) for x in row] for row in numbers]
-    if positions:
-        rows = [
-            [*row[:1], *map(positions.format, x), *row[3:]]
-            for row, x in zip(rows, POSITION, strict=True)
-        ]
     names = ["time_ms", "q1 [deg]", "q2 [deg]", "tau1 [Nmm]", "tau2 [Nmm]"]
     path = tmp_path / "log.csv"
     path.write_text("\n".join(map(separator.join, [names, *rows])) + "\n", encoding="utf-8")
@@ -974,13 +969,6 @@ def test_marks_between_thousands(tmp_path, kind):
     np.testing.assert_allclose(log.position, np.deg2rad(2000.0 * POSITION), atol=0.02 * rounding)
     np.testing.assert_allclose(log.effort, 3.0 * EFFORT, atol=1.01e-3 * rounding)
     assert "thousands separator in numbers such as" in " ".join(log.notes)
-
-
-def test_marks_of_thousands_in_some_columns_are_told_by_decimals_in_others(tmp_path):
-    path = marked(tmp_path, "integers", positions="{:.2f}")
-    log = read_log(path, joints=JOINTS)
-    np.testing.assert_allclose(log.position, np.deg2rad(POSITION), atol=1e-4)
-    np.testing.assert_allclose(log.effort, 3.0 * EFFORT, atol=1e-3)
 
 
 def test_numbers_that_may_be_with_decimals_or_thousands_are_refused(tmp_path):
