@@ -217,9 +217,6 @@ def test_a_reason_that_is_known_is_told_and_nothing_where_all_are_finite():
     found = json.loads(to_json({"x": NoNumber("nobody looked"), "y": 1.0}))
     assert found == {"x": None, "y": 1.0, "nulls": {"/x": "nobody looked"}}
     assert json.loads(to_json({"a": [np.float64(1.5), 2, True, "x"]})) == {"a": [1.5, 2, True, "x"]}
-
-
-def test_a_fit_that_there_was_not_has_no_certificate():
     found = json.loads(to_json(numbers_of(explanation(joint_names(2), ()))))
     assert found["certificate"] is None and found["steps"] == []
     assert found["nulls"]["/certificate"] == "the model stays as it is"
