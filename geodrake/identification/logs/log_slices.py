@@ -139,10 +139,12 @@ class Layout:
         still_speed: Array,
         *,
         coupling: NDArray[np.bool_] | None = None,
+        shared: RowCache | None = None,
     ) -> Layout:
         """Return the layout of the columns of bodies and effects.
 
-        With a `coupling` (nv, nv), a row has the columns of all joints that it includes.
+        With a `coupling` (nv, nv), a row has the columns of all joints that it includes. `shared`
+        is the cache of reductions.
         """
         motion = _probe(model, 7)
         size = np.abs(
@@ -155,10 +157,15 @@ class Layout:
         if coupling is not None:
             inertial = coupling @ inertial
         columns = [[np.flatnonzero(inertial[j])] for j in range(len(model.joints))]
-        forces = tuple(effect for effect in effects if not is_payload(effect))
-        probe = model.motion(_probe(model, 1), sign_width=1.0)
-        rows = EffectColumns(model.joints, forces).fit_rows(probe)
-        for effect, blocks in zip(forces, rows, strict=True):
+        probe, shared = model.motion(_probe(model, 1), sign_width=1.0), shared or RowCache(0)
+
+        def probed(effect: Effect) -> Blocks:
+            return EffectColumns(model.joints, (effect,)).fit_rows(probe)[0]
+
+        for effect in effects:
+            if is_payload(effect):
+                continue
+            blocks = shared.once(("probe", effect), partial(probed, effect))
             indices = starts[effect] + np.arange(len(effect.parameters))
             felt = blocks if coupling is None else np.flatnonzero(coupling[:, [*blocks]].any(1))
             for joint in felt:

@@ -72,7 +72,7 @@ def reduce_logs(
     shared.begin()
     empty = Layout(model, (), widths, still, (np.zeros(0, np.intp),) * len(model.joints))
     coupling = coupling_of(empty, trajectories, shared)
-    layout = Layout.of(model, effects, widths, still, coupling=coupling)
+    layout = Layout.of(model, effects, widths, still, coupling=coupling, shared=shared)
     noise = noise or known_noise(trajectories, model, sign_width=widths, fitted=fitted)
     dataset = reduce_over(layout, trajectories, folds, delays=delays, noise=noise, shared=shared)
     for joint, moves in zip(model.joints, dataset.has_rows, strict=True):
