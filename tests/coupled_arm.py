@@ -1,4 +1,4 @@
-"""An arm whose wrist two motors move together, as a model file and transmissions for it."""
+"""An arm whose wrist two motors move together: a model file and transmissions."""
 
 import numpy as np
 from chain_logs import logged
@@ -41,7 +41,7 @@ linear_actuators:
 
 
 def text(extra=""):
-    """The model file; `extra` goes into the joint `roll`."""
+    """Return the model file; `extra` goes into the joint `roll`."""
     links = (
         LINK.format("upper", "0.2 0.02 0.01", 3.0, 0.03, 0.05, 0.04),
         LINK.format("hand", "0.1 -0.02 0.03", 1.2, 0.01, 0.02, 0.015),
@@ -56,7 +56,7 @@ def text(extra=""):
 
 
 def arm(folder, beside=WRIST, *, extra="", **options):
-    """The model of the arm with a transmission file beside it; none if it is empty."""
+    """Return the arm with a transmission file beside it, or none if it is empty."""
     folder.joinpath("arm.urdf").write_text(text(extra))
     if beside:
         folder.joinpath("arm.transmission.yaml").write_text(beside)
@@ -64,14 +64,14 @@ def arm(folder, beside=WRIST, *, extra="", **options):
 
 
 def motion_of(model, count=6, seed=0, reach=0.05):
-    """Random samples, small enough for every linkage."""
+    """Return random samples that are small enough for every linkage."""
     rng, nv = np.random.default_rng(seed), len(model.joints)
     q = rng.uniform(-reach, reach, (count, nv))
     return Motion(q, *rng.uniform(-1.0, 1.0, (2, count, nv)))
 
 
 def log_of(model, seed, hidden=None, *, seconds=20.0):
-    """A log of the model's actuators on a multisine, with noise and hidden efforts of v."""
+    """Return a log of the model's actuators on a multisine, with noise and hidden efforts of v."""
 
     def dynamics(q, v, vd):
         return model.motion(Motion(q, v, vd)).load

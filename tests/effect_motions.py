@@ -18,7 +18,7 @@ JOINTS = ("shoulder", "elbow", "wrist")
 
 @cache
 def hand_robot():
-    """A chain of three joints, and its bodies' parameters; the last body is the hand."""
+    """Return a chain of three joints, whose last body is the hand, and its bodies' parameters."""
     plant = MultibodyPlant(0.0)
     parent = plant.world_frame()
     inertia = SpatialInertia(2.0, [0.1, 0.02, 0.2], UnitInertia.SolidSphere(1.0))

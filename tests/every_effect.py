@@ -1,4 +1,4 @@
-"""Every effect with parameters that it can have, at the arms of the demo and of arm6.urdf."""
+"""Every effect with parameters, at the arms of the demo and of arm6.urdf."""
 
 from geodrake import effects
 from geodrake.effects.of_files import (

@@ -1,4 +1,4 @@
-"""What stays unsure: rivals of a step, what nothing explains, motions that tell apart."""
+"""Ambiguous steps, unexplained errors, and motions that distinguish rivals."""
 
 import io
 import json
@@ -38,7 +38,7 @@ def slow_log(hidden, share=0.02):
 
 @pytest.fixture(scope="module")
 def case():
-    """A log with a spring, beside noise, and its explanation: a counterweight may be there."""
+    """Return a log with a spring and its explanation, which a counterweight may replace."""
     log = slow_log(spring, 0.05)
     return log, explain(MODEL, [log])
 
@@ -68,7 +68,7 @@ FITTED = FittedRival(
 
 @pytest.fixture
 def told(case):
-    """An explanation with a rival that is elsewhere than the step."""
+    """Return an explanation with a rival at another place than the step."""
     _, found = case
     names = ("effort_offset", "joint_spring")
     step = replace(
@@ -116,7 +116,7 @@ OPTION = "--draft-effect my_effect.py"
 
 
 def test_what_goes_with_time_alone_or_with_nothing_does_not_go_with_the_motion():
-    """An oscillation at one joint, coloured noise at the other."""
+    """One joint oscillates, and the other has coloured noise."""
     rng = np.random.default_rng(3)
 
     def hidden(seen):
@@ -130,22 +130,22 @@ def test_what_goes_with_time_alone_or_with_nothing_does_not_go_with_the_motion()
 
 
 def tightened(seen):
-    """Friction of the elbow that the shoulder's position tightens."""
+    """Return friction of the elbow that increases with the shoulder's position."""
     return {1: 0.5 * np.sign(seen.v[:, 1]) * (1.5 + seen.q[:, 0])}
 
 
 def plain(seen):
-    """Friction of the elbow that nothing tightens."""
+    """Return friction of the elbow that does not depend on the shoulder."""
     return {1: 0.75 * np.sign(seen.v[:, 1])}
 
 
 def mostly_tightened(seen):
-    """The same of a brake that is loose in the middle."""
+    """Return such friction of a brake that is loose in the middle of the range."""
     return {1: 0.5 * np.sign(seen.v[:, 1]) * (0.5 + seen.q[:, 0])}
 
 
 def test_a_name_is_unsure_beside_an_error_that_nothing_explains():
-    """Dry friction takes away what the brake does in the mean, and the rest is left."""
+    """Dry friction explains the mean of the brake, but not the rest."""
     model = load_model(PENDULUM)
     logs = [
         effort_log("double_pendulum", 1, hidden, duration=12.0, share=0.02).log
@@ -194,13 +194,13 @@ SHOWN = Comparison(START, (), (), ())
 
 
 def diagnosis(*found):
-    """Candidates as (effect, where, tied), the best first."""
+    """Return candidates as (effect, where, tied), the best first."""
     candidates = tuple(Candidate(e, w, 1.0, 0.1, 9.0, 1e-6, tied) for e, w, tied in found)
     return Diagnosis("explained", candidates, START, START, SHOWN, ())
 
 
 def explanation(*steps, model=MODEL):
-    """Steps as (effect, where, rivals), each rival as (effect, where)."""
+    """Return steps as (effect, where, rivals), each rival as (effect, where)."""
     rows = tuple(
         Step(
             effect, where, 1.0, 0.1, {}, {}, tuple(name for name, _ in rivals), 1e-6, 1.0, {}, {},
@@ -212,7 +212,7 @@ def explanation(*steps, model=MODEL):
 
 
 def commands(found):
-    """The commands that are told, without what they begin with."""
+    """Return the commands that are printed, without their prefix."""
     return [each.removeprefix(PREFIX) for each in distinguishing_commands(found)]
 
 

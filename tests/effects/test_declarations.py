@@ -1,4 +1,4 @@
-"""An effect is one class: what others ask of it is declared there, and nobody else names it."""
+"""An effect is one class, which declares what others need; no other module names it."""
 
 import ast
 import inspect
@@ -40,17 +40,17 @@ ALLOWED = {
 
 
 def docstrings(tree):
-    """Strings that stand alone, as those of modules, classes, functions and constants do."""
+    """Yield strings that are statements of modules, classes, functions and constants."""
     return {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
 
 
 def names_in(text):
-    """Names of effects in a string; those of one word are words of the language too."""
+    """Return the names of effects in a string, without those that are common words."""
     return {*LONG_NAMES.findall(text)} | ({text} & NAMES)
 
 
 def mentions(path):
-    """Where a module names an effect or its class, outside of docstrings and comments."""
+    """Yield where a module names an effect or its class, outside of docstrings and comments."""
     text = path.read_text(encoding="utf-8")
     tree = ast.parse(text if ANY_NAME.search(text) else "")
     words, drakes = docstrings(tree), set()
@@ -73,7 +73,7 @@ def mentions(path):
 
 @cache
 def all_mentions():
-    """Every place of the package that names an effect."""
+    """Return every place of the package that names an effect."""
     return [place for path in FILES for place in mentions(path)]
 
 
@@ -186,6 +186,6 @@ print([(step.effect, step.where) for step in found.steps])
 
 
 def test_one_class_is_one_more_effect():
-    """Written into the file of a family, it is found in a log; nothing else is told of it."""
+    """A class in the file of a family is found in a log without any other change."""
     done = ended(start([sys.executable, "-c", USE.format(cable=CABLE)], PYTHONPATH=PATHS))
     assert done == (0, "[('wound_cable', ('elbow',))]\n", "")

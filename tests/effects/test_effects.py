@@ -27,7 +27,7 @@ from geodrake.manifolds import PhysicalInertia
 
 
 def assert_gradient(effect, motion, atol):
-    """Gradients of Σ weights ∘ regressor are central differences by each field of the motion."""
+    """Check gradients of Σ weights ∘ regressor against central differences of the motion."""
     weights = np.random.default_rng(1).normal(size=(*motion.v.shape, len(effect.parameters)))
     gradient, step = effect.gradient(motion, weights), 1e-5
 
@@ -65,7 +65,7 @@ class TestEveryEffect:
         np.testing.assert_array_equal(effect.regressor(moved), effect.regressor(motion))
 
     def test_gradient(self, effect):
-        """Against differences; None where those of the whole motion are left to the caller."""
+        """Differences are None where those of the whole motion are left to the caller."""
         assert_gradient(effect, random_motion(6, width=0.7), atol=2e-8)
 
     def test_serial_form(self, effect):
@@ -212,12 +212,12 @@ def test_smooth_sign():
 
 
 class TestBodies:
-    """Effects on bodies, of Drake's own kinematics and gravity."""
+    """Test effects on bodies against Drake's own kinematics and gravity."""
 
     motion = random_motion()
 
     def held_by_tilted_base(self, turn):
-        """Change of the efforts (N, nv) that hold the robot when its base is turned by R."""
+        """Return the change of efforts (N, nv) that hold the robot if R rotates its base."""
         plant, _, _ = hand_robot()
         context = plant.CreateDefaultContext()
         level = plant.gravity_field().gravity_vector()
@@ -267,7 +267,7 @@ class TestBodies:
 
     @staticmethod
     def drag_at(point, q, v):
-        """Effort of drag 1 N·s²/m² at a point of the hand (3,), and that point's velocity."""
+        """Return efforts of drag 1 N·s²/m² at a point (3,) of the hand, and its velocity."""
         plant, _, _ = hand_robot()
         context = plant.CreateDefaultContext()
         plant.SetPositions(context, q)
@@ -401,7 +401,7 @@ class TestNames:
 
 
 def documented_lines():
-    """The lines of a user's own effect, as the documentation has them."""
+    """Return the lines of a user's effect in the documentation."""
     text = geodrake.effects.__doc__
     block = text[text.index("    from dataclasses") :]
     lines = block[: block.index("\n\n`HangingHose")]
@@ -534,7 +534,7 @@ EVERY = tuple(instances())
 
 
 def trial(v, vd, load):
-    """The hand's columns are like those of gravity and of accelerations."""
+    """Return columns of the hand, which resemble those of gravity and accelerations."""
     motion = random_motion(len(v), width=0.1)
     columns = motion.body_columns("hand") * (1.0 + vd[:, :, None])
     return replace(motion, v=v, vd=vd, load=load, body_columns={"hand": columns}.__getitem__)
@@ -544,7 +544,7 @@ Flywheel = own_effect("flywheel", columns=lambda self, joint: [joint.vd * np.sin
 
 
 def by_name(self, joint):
-    """Another effect at every joint, that sees its own sample only."""
+    """Return another effect at every joint that uses its own sample only."""
     return [{"shoulder": 1.0, "elbow": -2.0}[self.joint] * joint.q]
 
 
@@ -558,7 +558,7 @@ Weight = own_effect("weight", BodyEffect, rows=by_body)
 
 @dataclass(frozen=True)
 class Pressed(effects.CoulombFriction):
-    """A user's effect that inherits what another one declares."""
+    """A user's effect that inherits the declarations of another one."""
 
     name = "pressed"
 

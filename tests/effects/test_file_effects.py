@@ -1,4 +1,4 @@
-"""Effects that files alone state, wherever a model goes: held joints, followers, motors, files."""
+"""Effects that files state, in models with held joints, followers, motors, and in other files."""
 
 import dataclasses
 
@@ -40,7 +40,7 @@ def arm(tmp_path):
 
 
 def theirs(path, *motion):
-    """MuJoCo's efforts (N, nv) of its own coordinates."""
+    """Return MuJoCo's efforts (N, nv) of its own coordinates."""
     return mujoco_efforts(mujoco.MjModel.from_xml_path(str(path)), "abc", *motion)
 
 

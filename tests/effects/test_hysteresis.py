@@ -1,6 +1,6 @@
-"""Bristles that bend before they slip: their memory, in logs, in pieces of logs and in simulation.
+"""Bristles that deflect before they slip, in logs, in parts of logs and in simulations.
 
-The oracle is Dahl's equation in time, integrated by scipy.
+The oracle is Dahl's equation in time, integrated by SciPy.
 """
 
 from dataclasses import replace
@@ -30,13 +30,13 @@ PENDULUM = load_model(MODELS / "double_pendulum.urdf")
 
 
 def swing(time):
-    """Position and velocity of a joint that turns round at many places."""
+    """Return position and velocity of a joint that reverses at many places."""
     q = np.sin(1.3 * time) + 0.4 * np.sin(3.1 * time + 1.0)
     return q, 1.3 * np.cos(1.3 * time) + 1.24 * np.cos(3.1 * time + 1.0)
 
 
 def dahl(time, angle):
-    """The bend of the bristles, by an ordinary differential equation in time."""
+    """Return the deflection of the bristles by an ordinary differential equation in time."""
 
     def rate(t, z):
         v = swing(t)[1]
@@ -103,7 +103,7 @@ class TestMemory:
 
 
 def cart(effects):
-    """A cart of 2 kg on a rail, with effects, and its simulator."""
+    """Return a cart of 2 kg on a rail with effects, and its simulator."""
     plant = MultibodyPlant(0.0)
     body = plant.AddRigidBody("cart", SpatialInertia.SolidSphereWithMass(2.0, 0.1))
     plant.AddJoint(PrismaticJoint("rail", plant.world_frame(), body.body_frame(), [1.0, 0.0, 0.0]))
@@ -119,7 +119,7 @@ def cart(effects):
 
 class TestSimulation:
     def test_against_scipy(self):
-        """A cart that is pushed once: it swings on the bristles and comes to rest."""
+        """A cart that is pushed once swings on the bristles and comes to rest."""
         size, angle, mass = 3.0, 0.05, 2.0
         plant, force, log, simulator = cart([(Hysteresis("rail", angle), [size])])
         context = simulator.get_mutable_context()

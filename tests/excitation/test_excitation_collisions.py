@@ -1,4 +1,4 @@
-"""Collision geometry of model files: meshes wherever they are, and public robots as others see."""
+"""Collision geometry of model files, with meshes in any place, and of public robots."""
 
 import re
 from xml.etree import ElementTree
@@ -68,7 +68,7 @@ WRITERS = {"binary.stl": write_binary, "text.STL": write_text, "cube.obj": write
 
 
 def arm_with_mesh(tmp_path, name, place):
-    """A head of 0.2 × 0.4 × 0.6 m, one metre from its joint."""
+    """Return an arm with a head of 0.2 × 0.4 × 0.6 m, one metre from its joint."""
     folder = tmp_path / "my robot" / "meshes"
     folder.mkdir(parents=True)
     WRITERS[name](folder / name)
@@ -98,7 +98,7 @@ def test_unusable_meshes(tmp_path):
 
 
 def neighbours(path):
-    """Pairs of links that a joint connects, or that are welded together."""
+    """Return pairs of links that a joint or a weld connects."""
     joints = [
         (j.find("parent").get("link"), j.find("child").get("link"), j.get("type") == "fixed")
         for j in ElementTree.parse(path).getroot().iter("joint")
@@ -181,7 +181,7 @@ SCENE = """<sdf version="1.9"><model name="cell"><static>true</static><link name
 
 
 def test_obstacles_as_people_write_them(tmp_path):
-    """Nearest distances of a ball at the origin from each are known."""
+    """Nearest distances from a ball at the origin are known."""
     scene, mesh = tmp_path / "cell.sdf", tmp_path / "cube.stl"
     scene.write_text(SCENE)
     write_binary(mesh)
@@ -206,7 +206,7 @@ def test_obstacles_as_people_write_them(tmp_path):
 
 
 def test_ramps_lead_around_what_is_in_the_way(tmp_path):
-    """By way of one more posture, at rest at both ends, at half of the limits."""
+    """They pass another posture, at rest at both ends, at half of the limits."""
     model = arm_with_mesh(tmp_path, "cube.obj", "../meshes/{name}")
     post = Solid("post", Sphere(0.1), RigidTransform([1.0, 0.0, 0.0]))
     limits = motion_limits(model, bounded=True)

@@ -1,4 +1,4 @@
-"""Criteria of motions, their gradients, what a motion identifies, and what it tells apart."""
+"""Criteria of motions, their gradients, and parameters and effects that a motion identifies."""
 
 from dataclasses import replace
 
@@ -121,7 +121,7 @@ class TestNormalizations:
 
 
 class TestInvariance:
-    """[Lee2019] Proposition 4.1, to 1e-9, for every criterion."""
+    """Test [Lee2019] Proposition 4.1 to 1e-9 for every criterion."""
 
     @staticmethod
     def values(model, motion, noise, **settings):
@@ -285,13 +285,13 @@ NOISE = 0.5
 
 
 def slow_motion(model, seed=0, count=60):
-    """A motion that hardly excites inertia."""
+    """Return a motion that hardly excites inertia."""
     motion = motion_of(model, seed, count)
     return Motion(0.4 * motion.q, 0.1 * motion.v, 0.1 * motion.vd)
 
 
 def measured_case(seed=0, *, effects=()):
-    """A target, a slow motion, noisy efforts of other parameters, and those parameters."""
+    """Return a target, a slow motion, noisy efforts of other parameters, and those parameters."""
     model, rng = arm(effects=effects), np.random.default_rng(seed)
     target = make_target(model, noise=NOISE)
     truth = target.prior + 0.1 * target.metric_root @ rng.normal(size=target.size)
@@ -377,7 +377,7 @@ def pendulum(*effects):
 
 
 def best_imitation(rows, wanted, prior, lower):
-    """Least ‖wanted − rows x‖² + xᵀ Λ x with some x ≥ lower, by a solver for bounds."""
+    """Return the least ‖wanted − rows x‖² + xᵀ Λ x with some x ≥ lower, by a bounded solver."""
     root = np.real(sqrtm(prior))
     A = np.vstack([rows, np.hstack([root, np.zeros((len(root), rows.shape[1] - len(root)))])])
     b = np.concatenate([wanted, np.zeros(len(root))])
@@ -437,7 +437,7 @@ class TestSeparation:
         TestGradient.check(separation, motion_of(model, 5, 25))
 
     def test_an_effect_of_known_size_sets_that_of_its_rival(self):
-        """The rival is as large as it must be to be taken for it."""
+        """The rival is as large as needed to be confused with it."""
         fitted = effects.FittedEffect(effects.CoulombFriction("elbow"), np.array([0.3]))
         model = pendulum(fitted)
         limits = motion_limits(model)
@@ -468,7 +468,7 @@ class TestRivals:
 
 class TestDesign:
     def test_a_motion_on_which_rivals_agree(self):
-        """At one speed, forwards and backwards, an offset of viscosity is Coulomb friction."""
+        """At one speed in both directions, viscous friction is Coulomb friction."""
         model = pendulum()
         separation = separation_of(model, ("coulomb_friction", "viscous_friction"), noise=0.1)
         v = np.where(np.arange(30)[:, None] % 2, 1.0, -1.0) * np.ones(2)

@@ -1,4 +1,4 @@
-"""Designed motions: limits, starts, time, and the trajectories that are written."""
+"""Designed motions: limits, starts, time, and trajectories in files."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -56,7 +56,7 @@ LINK = """<link name="link_{i}">
 
 
 def planar(tmp_path, *, effort=60.0, count=2):
-    """A chain of links with collision geometry, turning about z, then about y."""
+    """Return a chain of links with collision geometry, which turn about z, then about y."""
     links = "".join(
         LINK.format(
             i=i,
@@ -91,7 +91,7 @@ def problem_of(model, limits, family=SHORT, **options):
 
 
 def assert_limits_are_kept(result, model):
-    """By a fine look at the motion that knows nothing of the design."""
+    """Check the limits on a fine grid, independently of the design."""
     limits, trajectory = result.limits, result.trajectory
     times = np.linspace(0.0, trajectory.family.length, 2003)
     q, v, vd = trajectory.states(times)
@@ -295,7 +295,7 @@ WALL = Solid("wall", Box(0.1, 2.0, 2.0), RigidTransform([0.0, -3.0, 0.0]))
 
 
 class Clock:
-    """The processor's seconds of this process, and those for which it pretends to wait."""
+    """The CPU time of this process, plus simulated waiting."""
 
     def __init__(self):
         self.waited = 0.0
@@ -316,7 +316,7 @@ def clock(monkeypatch):
 
 
 class SlowWorld(CollisionWorld):
-    """A world in which looking at a posture takes its time, as with large meshes."""
+    """A world that takes long to check a posture, as with large meshes."""
 
     seconds = 0.002
     wait = None

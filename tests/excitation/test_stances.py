@@ -1,4 +1,4 @@
-"""Motions of robots on their feet: against Pinocchio's dynamics, which know no stance."""
+"""Motions of robots on their feet, against Pinocchio's dynamics without a stance."""
 
 from dataclasses import replace
 from functools import cache
@@ -60,13 +60,13 @@ def standing(*feet, **given):
 
 
 def balanced(stance):
-    """Where its motors are in balance, near the posture in which its feet were placed."""
+    """Return a nearby posture in which the efforts of the motors are balanced."""
     q = stance.balanced(stance.posture[None], stance.limits())
     return stance.motor_states(np.stack([q, 0 * q, 0 * q]))[0, 0]
 
 
 def few_states(stance, count=6):
-    """Some states within the limits, in balance at rest."""
+    """Return some states within the limits, in balance at rest."""
     limits, rng = stance.limits(), np.random.default_rng(0)
     spread = rng.uniform(limits.lower, limits.upper, (count, len(limits.joints)))
     q = stance.balanced(spread, limits)
@@ -87,7 +87,7 @@ def designed(*feet):
 
 
 def whole_motion(stance, motion):
-    """Positions, velocities and accelerations of all joints, base included, and their names."""
+    """Return positions, velocities and accelerations of all joints and the base, and names."""
     robot = stance.robot
     theta, rates, accelerations, _ = stance.model.coordinates.tree_samples(
         motion.q, motion.v, motion.vd
@@ -133,7 +133,7 @@ class TestAgainstPinocchio:
             assert (way[0] * off[:, 1] - way[1] * off[:, 0] > -1e-9).all()
 
     def test_gradients(self, feet):
-        """Of legs with friction, which follow the base on two feet."""
+        """Legs with friction follow the base on two feet."""
         stance, family = standing(*feet), FAMILY if len(feet) > 1 else FreeSamples(12)
         effects = (
             FittedEffect(ViscousFriction("l_leg_kny"), np.array([1.0])),
@@ -163,7 +163,7 @@ def test_a_force_plate_measures_what_the_ground_gives():
 
 class TestFeet:
     def test_soles_of_collision_geometry(self):
-        """Boxes of 0.24 × 0.12 m whose middle is 0.04 m before the ankle, as the file has them."""
+        """Boxes of 0.24 × 0.12 m in the file have their middle 0.04 m before the ankle."""
         stance = standing("l_foot")
         ends = np.sort(stance.corners, axis=0)
         np.testing.assert_allclose(ends[[0, -1]], [[-0.12, -0.06], [0.12, 0.06]], atol=1e-9)
@@ -215,7 +215,7 @@ class TestFeet:
             Foot("x", np.eye(3), radius=0.02)
 
     def test_robots_that_fall_over(self):
-        """A trunk that leans back over the heel: no design begins there."""
+        """No design begins with a trunk that leans back over the heel."""
         stance = standing("l_foot")
         names = stance.motors
         back = stance.placed + 0.6 * np.array([n == "l_leg_aky" for n in names])
@@ -236,7 +236,7 @@ class TestFeet:
 
 
 class RollingDog:
-    """A quadruped on balls, with a motion of its trunk, and in MuJoCo."""
+    """A quadruped on balls, with a motion of its trunk, also in MuJoCo."""
 
     radius, rate, seconds = 0.04, 250.0, 4.0
     posture = tuple(0.6 * ("pitch" in name) - 1.2 * ("knee" in name) for name in JOINTS)
@@ -328,7 +328,7 @@ def test_feet_that_are_balls_roll(tmp_path):
 
 
 def test_load_is_shared_by_all_motors():
-    """With equal limits, efforts are the least that move the robot: nothing can be taken off."""
+    """With equal limits, efforts have the least norm that moves the robot."""
     stance = standing(*FEET)
     equal = replace(stance.motor_limits, effort=np.full(len(stance.motors), 100.0))
     stance = stance.within(equal)
@@ -365,7 +365,7 @@ def geared():
 
 
 def geared_stance(*feet, **given):
-    """The biped with drives in its legs, in the same posture as without."""
+    """Return the biped with gears in its legs, in the same posture as without."""
     robot = geared()
     bent = [[BENT.get(name[2:], 0.0) for name in robot.coordinates.joints]]
     at = dict(zip(robot.joints, robot.coordinates.nearest(np.array(bent))[0], strict=True))
@@ -511,7 +511,7 @@ def test_legs_that_follow_tables_cannot_stand():
 
 @pytest.mark.parametrize("place", ["l_leg_kny", "back_bkz"])
 def test_effects_are_told_apart_on_two_feet(place):
-    """Of a leg that follows the base, and of a motor that does not, with efforts as motors have."""
+    """One leg follows the base, one motor does not, and efforts are those of motors."""
     stance, names = standing(*FEET), ("coulomb_friction", "viscous_friction")
     limits = stance.motor_limits
     rivals = [make_rival(name, stance.robot, limits, where=[place]) for name in names]

@@ -1,4 +1,4 @@
-"""Small fleets, as rows: what their normal matrices come from."""
+"""Rows of small fleets, from which their normal matrices come."""
 
 from dataclasses import dataclass
 
@@ -16,13 +16,13 @@ NAMES = ("mass", "moment", "dry", "viscous")
 
 @dataclass(frozen=True)
 class Rows:
-    """One robot's rows: A (T, m, p) and b (T, m)."""
+    """Rows of one robot: A (T, m, p) and b (T, m)."""
 
     A: np.ndarray
     b: np.ndarray
 
     def grams(self, weight=NOISE**-2):
-        """Over the columns that are ever seen."""
+        """Return normal matrices over all columns that occur."""
         seen = np.flatnonzero(self.A.any(axis=(0, 1)))
         both = np.concatenate([self.A[..., seen], self.b[..., None]], axis=2)
         return JointGrams(seen, np.swapaxes(both, 1, 2) @ (weight * both))
@@ -33,7 +33,7 @@ class Rows:
 
 
 def columns(course=False):
-    """Bodies differ together, friction by itself and in shares."""
+    """Return columns of bodies, which differ together, and of friction with its shares."""
     relative = np.array([False, False, True, True])
     unit = np.eye(P)
     spreads = (
@@ -59,7 +59,7 @@ def hypotheses():
 
 
 def robot(rng, logs=20, rows=30, change=None, together=0.0):
-    """A robot with its own parameters; change(t) and together (T,) are shares of its friction."""
+    """Return a robot; change(t) and together (T,) are shares of its friction."""
     own = MEAN + DEVIATION * UNIT * rng.normal(size=P)
     x = own + SCATTER * np.array([1.0, 1.0, *own[2:]]) * rng.normal(size=(logs, P))
     x[:, 2:] += own[2:] * np.broadcast_to(together, logs)[:, None]

@@ -1,4 +1,4 @@
-"""Digests against readings of the logs themselves, their files and folders."""
+"""Digests against readings of the logs themselves, and their files and folders."""
 
 import errno
 import json
@@ -57,7 +57,7 @@ MODEL = load_model(MODELS / "arm6.urdf")
 
 @pytest.fixture(scope="module")
 def logs():
-    """Three logs; the first is the fastest, so that a reading of all chooses what it does."""
+    """Return three logs, of which the fastest comes first and determines the settings."""
     reaches = {1: 2.0, 2: 0.8, 3: 0.6}
     return [chain_log(MODEL, k, resisted, seconds=22.0, reach=r) for k, r in reaches.items()]
 
@@ -77,7 +77,7 @@ def digests(logs, settings):
 
 
 def read_together(model, logs, settings):
-    """The `Dataset` of logs that are read together: it knows nothing of digests."""
+    """Return the `Dataset` of logs that are read together, without digests."""
     how = {"bandwidth": settings.bandwidth, "motion_bandwidth": settings.motion_bandwidth}
     case = open_case(model, logs, candidates=True, blocks=settings.blocks, **how)
     return reduced(case, [each.made() for each in settings.effects])
@@ -160,7 +160,7 @@ def test_known_payloads_are_taken_off(logs, settings, tmp_path):
 
 
 def read_back(digest, folder):
-    """The digest through a file."""
+    """Return the digest after writing it to a file."""
     path = folder / "x.digest"
     path.write_bytes(digest_content(digest))
     return read_digest(path)
@@ -243,7 +243,7 @@ def test_a_damaged_digest_is_refused(digests, tmp_path, spoil):
 
 
 def rewritten(data, change):
-    """The bytes of a digest whose settings say something else."""
+    """Return the bytes of a digest with other settings."""
     settings, *parts = unsealed(data, FORMAT, list)
     return sealed((json.dumps(change(json.loads(settings))), *parts), FORMAT)
 
@@ -277,7 +277,7 @@ def test_what_is_no_date_is_refused(text):
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """The model, two logs of a robot with a heavier elbow, their settings and digests."""
+    """Return the model, two logs of a robot with a heavier elbow, their settings and digests."""
     folder = tmp_path_factory.mktemp("acrobot")
     (folder / "acrobot.xml").write_text(text())
     model, logs = load_model(folder / "acrobot.xml"), []
@@ -327,7 +327,7 @@ def test_merged_digests_are_fitted_as_a_reading_of_the_logs(made, tmp_path):
 
 
 def test_histories_hold_what_such_a_joint_says_of_bodies(made, tmp_path):
-    """The normal equations of the shoulder alone have the robot's scale, not the least residual."""
+    """Normal equations of the shoulder have the robot's scale, not the least residual."""
     model, _, settings, digests = made
     layout = type_layout(model, settings, np.ones(2))
     joints, squares = weighted_grams(digests[0], layout.kept)
@@ -359,7 +359,7 @@ SMALL = load_model(PENDULUM)
 
 @pytest.fixture(scope="module")
 def logged(tmp_path_factory):
-    """Three logs, and a folder of digests of two of them."""
+    """Return three logs, and a folder of digests of two of them."""
     here = tmp_path_factory.mktemp("logs")
     for seed in (1, 2, 3):
         write_log(pendulum_log(seed, seconds=20.0), here / f"log_{seed}.csv")
@@ -371,7 +371,7 @@ def logged(tmp_path_factory):
 
 @pytest.fixture
 def folder(logged, tmp_path):
-    """A copy of that folder."""
+    """Return a copy of that folder."""
     copy = tmp_path / "digests"
     copy.mkdir()
     for path in (logged / "digests").iterdir():
@@ -380,7 +380,7 @@ def folder(logged, tmp_path):
 
 
 def files_of(folder):
-    """Which files there are, and when they were written: reading changes nothing of it."""
+    """Return names and times of all files, which reading does not change."""
     return {
         path.name: (path.stat().st_ino, path.stat().st_mtime_ns, path.stat().st_size)
         for path in folder.iterdir()
@@ -550,7 +550,7 @@ def test_effects_of_a_users_own_have_columns(logged, tmp_path):
 
 
 def test_settings_say_what_those_of_older_folders_do():
-    """Another word would make every folder one of other options."""
+    """Other words would give every folder other options."""
     names = "mapping columns rate units gains skip_bad_rows topic gain_deviations kinds motors"
     assert said_of_reading(Reading()).keys() == {*names.split(), "of_base", "joints"}
     assert said_of_reading(Reading(usual_deviation=0.2))["usual_deviation"] == 0.2

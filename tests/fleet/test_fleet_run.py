@@ -1,4 +1,4 @@
-"""A small fleet from its file to its findings, stopped and started again, and its workers."""
+"""A small fleet from its file to its findings, with interruptions and workers."""
 
 import gc
 import io
@@ -59,7 +59,7 @@ FEW = (ROBOTS[0], HEAVY)
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """The logs of the fleet, which no test changes."""
+    """Return the logs of the fleet, which no test changes."""
     here = tmp_path_factory.mktemp("fleet")
     write_fleet(here)
     return here
@@ -67,7 +67,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def whole(folder):
-    """The whole fleet, looked at once."""
+    """Return the results of the whole fleet."""
     return run_fleet(read_fleet(folder / "fleet.yaml"), HERE)
 
 
@@ -80,7 +80,7 @@ def copy_logs(folder, to, robots=FEW, days=(0, 1)):
 
 @pytest.fixture
 def own(folder, tmp_path):
-    """A folder of a test's own, with some of the logs."""
+    """Return a folder of a test's own with some of the logs."""
 
     def make(robots=FEW):
         copy_logs(folder, tmp_path, robots)
@@ -94,7 +94,7 @@ def text_of(result):
 
 
 def digests(folder):
-    """Digest -> what says that it was not made again."""
+    """Return the time of each digest, which shows whether it was made again."""
     return {
         path.name: (path.stat().st_ino, path.stat().st_mtime_ns)
         for path in Path(folder).glob("**/digests/*.digest")
@@ -151,7 +151,7 @@ def test_what_is_there_is_not_made_again(folder, whole):
 
 @pytest.fixture(scope="module")
 def undisturbed(folder, tmp_path_factory):
-    """Where a run of four logs was, its digests, and what it found."""
+    """Return the folder of a run of four logs, its digests and findings."""
     here = tmp_path_factory.mktemp("undisturbed")
     copy_logs(folder, here)
     result, seen = run_fleet(read_fleet(write_file(here, FEW)), HERE)
@@ -339,7 +339,7 @@ def test_a_scheduler_that_does_not_answer_is_said(own, monkeypatch):
 
 @pytest.mark.parametrize("address", ["tls://127.0.0.1:9", "inproc://9"])
 def test_a_client_that_reaches_no_scheduler_is_closed(address):
-    """A later one may hold the lock that its finalizer waits for."""
+    """Otherwise a later one may hold the lock that its finalizer waits for."""
     others = _clients()
     with (
         pytest.raises(FleetError, match=f"{address} cannot be reached") as caught,
@@ -428,7 +428,7 @@ def test_logs_in_archives_and_by_caches_have_addresses_of_their_own():
 
 @pytest.fixture(scope="module")
 def carrier(folder, tmp_path_factory):
-    """What there is of a robot of three logs that have digests."""
+    """Return the folder of a robot of three logs with digests."""
     here = tmp_path_factory.mktemp("carrier")
     copy_logs(folder, here, [HEAVY], range(3))
     fleet = read_fleet(write_file(here, [HEAVY]))
@@ -437,13 +437,13 @@ def carrier(folder, tmp_path_factory):
 
 @pytest.fixture
 def task(carrier, tmp_path):
-    """The same in a folder of the test's own."""
+    """Return a copy of it in a folder of the test."""
     folder = shutil.copytree(carrier[0], tmp_path / "pendulum")
     return HistoryTask(HEAVY, carrier[1], folder, read_settings(folder / DIGESTS), np.arange(5))
 
 
 def test_logs_of_one_time_count_as_one(task, monkeypatch):
-    """Their mean: two that say the same say no more than one."""
+    """Two equal logs tell no more than one, by their mean."""
     one = replace(task, records=task.records[:1])
     later = replace(one.records[0], date=one.records[0].date + DAY)
     monkeypatch.setattr("geodrake.fleet.history.MOST_TIMES", 1)
@@ -501,7 +501,7 @@ def test_a_history_is_without_a_digest_that_is_damaged(task):
 
 @pytest.mark.parametrize("gone", [1, 3])
 def test_digests_that_go_while_their_history_is_used_are_said(task, gone):
-    """What was learnt of the robot is of other logs."""
+    """Results of the robot are then of other logs."""
     kept = read_history(task)[0]
     task.file.unlink()
     for record in task.records[:gone]:
@@ -512,7 +512,7 @@ def test_digests_that_go_while_their_history_is_used_are_said(task, gone):
 
 @pytest.fixture
 def cluster():
-    """A scheduler with a worker, both in this process."""
+    """Return a scheduler with a worker, both in this process."""
     with LocalCluster(
         n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
     ) as cluster:
@@ -552,14 +552,14 @@ def die_of_thirty(piece):
 
 
 def test_work_that_kills_its_workers_takes_no_other_with_it(cluster):
-    """Though many pieces go to a worker in one packet."""
+    """Many pieces of work go to a worker in one packet."""
     with workers(100, scheduler=cluster.scheduler_address) as team:
         done = dict(team.each(die_of_thirty, range(100)))
     assert done == {k: None if k == 30 else -k for k in range(100)}
 
 
 class OneDies(Workers):
-    """Several at a time, of which the second piece of work kills its workers."""
+    """Work in parallel, of which the second piece kills its workers."""
 
     def each(self, work, pieces):
         done = [(at, None if at == 1 else work(piece)) for at, piece in enumerate(pieces)]

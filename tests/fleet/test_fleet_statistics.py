@@ -24,7 +24,7 @@ from geodrake.model import load_model
 
 
 def made(logs, **more):
-    """A type that is known, with logs of some robots."""
+    """Return a known type with logs of some robots."""
     known = {
         "mean": MEAN.copy(),
         "covariance": np.zeros((P, P)),
@@ -39,12 +39,12 @@ def made(logs, **more):
 
 
 def spread_covariance(scales):
-    """Covariance of parameters, from the docstrings' model."""
+    """Return the covariance of parameters by the model in the docstrings."""
     return np.diag((np.repeat(scales, [2, 1, 1]) * UNIT) ** 2)
 
 
 def dense(model, A):
-    """Covariance of all rows b of a robot, whose log t has rows A_t."""
+    """Return the covariance of all rows b of a robot, whose log t has rows A_t."""
     own, scatter = spread_covariance(model.deviations), spread_covariance(model.scatter)
     stacked = A.reshape(-1, P)
     each = block_diag(*[a @ scatter @ a.T for a in A])
@@ -52,7 +52,7 @@ def dense(model, A):
 
 
 def test_evidence_is_the_ratio_of_likelihoods_of_rows():
-    """Of days since 1970, of logs a minute after another, two of them on one."""
+    """Logs of days since 1970 are a minute apart, two of them on one day."""
     rows = robot(np.random.default_rng(3), logs=6, rows=8)
     days = 20_000.0 + np.array([0.0, 2.0, 2.0, 3.0, 7.0, 8.0]) / 1440.0
     history = replace(rows.history(), days=days)
@@ -185,7 +185,7 @@ def test_changes_are_told_with_day_effect_and_kind(found):
 
 
 def test_temperatures_tell_halls_apart():
-    """Friction varies with each hall's own temperature, which no common course could say."""
+    """Friction varies with the temperature of each hall, for which no common course exists."""
     rng, histories = np.random.default_rng(7), []
     for r in range(12):
         wave = (1.0 if r % 2 else -1.0) * SEASON

@@ -1,4 +1,4 @@
-"""Bodies to identify, fits of random data of them, and other frames and units to state them in."""
+"""Bodies to identify, fits of random data, and other frames and units."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ TWO = THREE[[0, 2]]
 
 
 def random_data(seed, prior, *, rows, extra=0, noise=0.3, scale=(0.7, 1.4)):
-    """Regressor and measurements of bodies whose parameters are scaled, and of extra ones of 2."""
+    """Return regressor and measurements of scaled bodies, and of extra parameters of 2."""
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(rows, prior.size + extra))
     phi = prior * rng.uniform(*scale, (len(prior), 1))
@@ -28,7 +28,7 @@ def random_data(seed, prior, *, rows, extra=0, noise=0.3, scale=(0.7, 1.4)):
 
 
 def restated(seed, prior, length, mass):
-    """T of all bodies in other frames and units, one frame a body, and their prior there."""
+    """Return T of all bodies in other frames and units, one frame a body, and their prior."""
     rng = np.random.default_rng(seed)
     T = block_diag(*(other_view(rng, length, mass) for _ in prior))
     return T, (T @ prior.ravel()).reshape(prior.shape)
@@ -38,7 +38,7 @@ BODIES = tuple(range(0, THREE.size, 10))
 
 
 def entropic_fit(seed, *, gamma=0.5, rows=24, scale=1.0, pull=1.0):
-    """Fewer rows than parameters, and two bounded scalars; pull < 0 asks for negative masses."""
+    """Return few rows and two bounded scalars; pull < 0 asks for negative masses."""
     A, b = random_data(seed, THREE, rows=rows, extra=2)
     free = np.full(THREE.size, np.inf)
     return FitProblem(
@@ -53,7 +53,7 @@ def entropic_fit(seed, *, gamma=0.5, rows=24, scale=1.0, pull=1.0):
 
 
 def constrained(problem):
-    """A total mass, and ellipsoids of which some are active."""
+    """Return a total mass, and ellipsoids of which some are active."""
     rows = np.zeros((4, problem.size))
     regions = Ellipsoid(THREE[:, 1:4] / THREE[:, :1], [0.25] * 3, np.eye(3))
     rows[:3, : THREE.size] = block_diag(*from_dual(regions.quadric))
@@ -63,7 +63,7 @@ def constrained(problem):
 
 
 def divergence(problem, x):
-    """Σ γ Σ (c − log(1 + c)) over the eigenvalues c of P₀⁻¹ (P − P₀), exact where P is near P₀."""
+    """Return Σ γ Σ (c − log(1 + c)) over the eigenvalues c of P₀⁻¹ (P − P₀), exact near P₀."""
     value = 0.0
     for start, (phi, gamma) in problem.entropic.items():
         change = pseudo_inertia(x[start : start + 10] - phi)

@@ -1,4 +1,4 @@
-"""Contacts that nobody logged: by heights and speeds of frames, and by efforts of their limbs."""
+"""Unlogged contacts by heights and speeds of frames, and by efforts of their limbs."""
 
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ RATE, WEIGHT = 200.0, 150.0
 
 
 def steps(rng, count, feet=4):
-    """Whether feet touch, in touches and swings of 0.2 to 0.5 s."""
+    """Return whether feet touch, in stance and swing phases of 0.2 to 0.5 s."""
     found = np.empty((count, feet), bool)
     for k in range(feet):
         lengths = rng.uniform(0.2, 0.5, 200)
@@ -37,7 +37,7 @@ def steps(rng, count, feet=4):
 
 
 def signs(truth, rng, *, ground=0.0, heights=True, speeds=True, forces=True):
-    """What such feet show: 5 cm of lift at most, and the noise of good estimators."""
+    """Return signals of such feet: at most 5 cm of lift, and the noise of good estimators."""
     count, feet = truth.shape
     nothing = np.full(truth.shape, np.nan)
     swing = np.zeros(truth.shape)
@@ -85,7 +85,7 @@ def test_probabilities_are_right_and_mean_what_they_say(known):
 
 @pytest.fixture(scope="module")
 def on_steps(tmp_path_factory):
-    """A quadruped that sways with two of its feet on a step, and what it measures."""
+    """Return a quadruped that sways with two of its feet on a step, and its measurements."""
     path = tmp_path_factory.mktemp("robot") / "quadruped.urdf"
     path.write_text(quadruped(), encoding="utf-8")
     model = load_description(path, floating=True)
@@ -113,7 +113,7 @@ def heights_of(model, log):
 
 
 def test_feet_on_a_step_are_found(on_steps):
-    """They are too high to touch level ground, but rest, and bear what efforts do not explain."""
+    """Too high to touch level ground, they rest and carry what efforts do not explain."""
     model, log = on_steps
     heights = heights_of(model, log)
     assert np.ptp(heights, axis=0).max() < 1e-6  # feet rest
@@ -126,7 +126,7 @@ def test_feet_on_a_step_are_found(on_steps):
 
 
 def test_without_efforts_feet_on_a_step_are_found_by_their_rest(on_steps):
-    """Currents of unknown gains tell no forces."""
+    """Currents of unknown gains give no forces."""
     model, log = on_steps
     found = with_base(replace(log, effort_kinds=dict.fromkeys(log.joints, "current")), model)
     assert found.contacts.flags.all()

@@ -59,7 +59,7 @@ MODEL = load_model(PENDULUM)
 
 @pytest.fixture(scope="module")
 def trajectories():
-    """Two logs; the first has a gap."""
+    """Return two logs; the first has a gap."""
     log = pendulum_log(1)
     keep = (log.time < 15.0) | (log.time > 15.4)
     gap = JointLog("gap", JOINTS, log.time[keep], log.position[keep], log.effort[keep])
@@ -77,7 +77,7 @@ def dataset(trajectories, folds):
 
 
 def unfiltered(model, segment, width):
-    """Columns (N, 2, p) of the bodies and of EFFECTS without the payload, formula by formula."""
+    """Return columns (N, 2, p) of the bodies and of EFFECTS without the payload, by formulas."""
     q, v, vd = segment.position, segment.velocity, segment.acceleration
     bodies = inverse_dynamics_regressor(model.plant, q, v, vd)
     load = bodies @ model.phi.ravel()
@@ -99,12 +99,12 @@ def unfiltered(model, segment, width):
 
 
 def decimated(low_pass, signal):
-    """Plain convolution, and every so manieth of its values."""
+    """Return a plain convolution at every n-th sample."""
     return np.convolve(signal, low_pass.kernel, mode="valid")[:: low_pass.decimation]
 
 
 def dense_rows(model, trajectories, fold, joint):
-    """Rows [A | b] of a fold and joint, computed directly from its definition."""
+    """Return rows [A | b] of a fold and joint, computed directly from its definition."""
     speeds = [np.abs(s[:].velocity).max(0) for t in trajectories for s in t.segments]
     peak = np.max(speeds, axis=0)
     noise = np.max([t.speed_noise for t in trajectories], axis=0)
@@ -156,7 +156,7 @@ def test_every_joint_has_delays_of_its_own():
 
 @pytest.mark.parametrize("noise", [0.0, 2e-3])  # rad, of positions
 def test_joint_at_rest_has_no_rows_of_that_time(noise):
-    """Dry friction of a joint that rests may be anything: those samples say nothing."""
+    """Dry friction of a resting joint is undetermined."""
     time, rng = np.arange(8000) / 200.0, np.random.default_rng(4)
     q = multisine(time, rng)[0]
     q[:, 1] *= np.clip(np.abs(time - 20.0) - 5.0, 0.0, 1.0) ** 3  # the elbow rests from 15 to 25 s
@@ -181,7 +181,7 @@ def test_effort_that_never_changes_is_refused():
 
 @pytest.mark.parametrize("bandwidth", [4.0, 15.0])
 def test_noise_floor_of_white_noise(bandwidth):
-    """Known noise under much larger efforts, some of which no model has."""
+    """Known noise is under much larger efforts, some of which no model has."""
 
     def hidden(q, v, vd, load):
         return 0.5 * np.tanh(v / 0.2) + 0.3 * np.sin(3.0 * q)
@@ -193,7 +193,7 @@ def test_noise_floor_of_white_noise(bandwidth):
 
 
 def test_noise_floor_of_efforts_that_were_filtered_before():
-    """Above the cutoff there is nothing to see; below, noise is what a fitted model leaves."""
+    """Below the cutoff, noise is the residual of a fitted model; above it there is none."""
     log, sections = pendulum_log(12), butter(8, 10.0, fs=200.0, output="sos")
     smooth = replace(log, effort=sosfiltfilt(sections, log.effort, axis=0))
     plain, filtered = (prepare_logs([each], bandwidth=5.0) for each in (log, smooth))
@@ -206,7 +206,7 @@ def test_noise_floor_of_efforts_that_were_filtered_before():
 
 @pytest.mark.parametrize("tacho", [None, 1e-3])
 def test_noise_floor_of_noise_in_the_motion(tacho):
-    """Encoders and tachometers alone: accelerations carry their noise into what is predicted."""
+    """Noise of encoders and tachometers enters predictions by accelerations."""
     rng = np.random.default_rng(5)
     log = pendulum_log(8, noise=(0.0, 0.0), reach=0.2)
     speed = multisine(log.time, np.random.default_rng(8), reach=0.2)[1]
@@ -224,7 +224,7 @@ def test_noise_floor_of_noise_in_the_motion(tacho):
 
 
 def shaken(amplitude, *, at=18.0, seconds=60.0):
-    """A log whose elbow vibrates behind its motor, without the motor's effort."""
+    """Return a log whose elbow vibrates behind its motor, without the motor's effort."""
     log = pendulum_log(8, seconds=seconds, rate=400.0)
     position = log.position.copy()
     position[:, 1] += amplitude * np.sin(2 * np.pi * at * log.time)
@@ -304,14 +304,14 @@ ORDER = [0, 1, 2, 3, 4, 6, 9, 5, 8, 7]  # of Pinocchio's xx, xy, yy, xz, yz, zz 
 
 
 def leaning(model, angles):
-    """A robot whose base is turned by a rotation vector about x and y."""
+    """Return a robot whose base is rotated by a vector about x and y."""
     turned = pin.Model(model)
     turned.gravity.linear = pin.exp3(np.array([*angles, 0.0])).T @ np.array([0.0, 0.0, -9.81])
     return turned
 
 
 def parameters(model):
-    """(10 nb,) φ of Pinocchio's bodies, in the model's order."""
+    """Return φ (10 nb,) of Pinocchio's bodies, in the model's order."""
     bodies = [model.inertias[i].toDynamicParameters()[ORDER] for i in range(1, model.njoints)]
     return np.concatenate(bodies)
 

@@ -81,9 +81,9 @@ def test_it_finds_what_mujoco_has(model, log):
 
 
 def test_intervals_of_slow_logs_hold_friction_and_rotors():
-    """Of a double pendulum at 50 Hz, by encoders with 4096 steps.
+    """A double pendulum at 50 Hz has encoders with 4096 steps.
 
-    Delay, damping and inertia make up for one another; with a delay held, few are inside.
+    Delay, damping and inertia compensate each other; with a fixed delay, few are inside.
     """
     draw = ServoDraw("double_pendulum", "mujoco", False, 0, 1, duration=20.0, hobby=True)
     row = score_servo(draw)
@@ -109,7 +109,7 @@ def test_a_stiffness_may_be_far_from_those_of_other_joints():
 
 
 def test_it_finds_friction_by_the_square_of_the_load(model, log):
-    """Which is neither dry friction nor in proportion to the load."""
+    """It is neither dry friction nor proportional to the load."""
     motions = alone(model, log)
     moved = motions.simulated(motions.servo([60.0, 0.0, 4.0, 0.2, 0.08, 0.0, 0.0, 0.03]))
     told = replace(motions, positions=(moved,))
@@ -124,7 +124,7 @@ def test_it_finds_friction_by_the_square_of_the_load(model, log):
 
 
 def test_friction_by_the_load_is_that_of_bodies_that_speed_up():
-    """Without weight: what a step of the command accelerates is all that the gear rubs by."""
+    """Without weight, steps of the command alone load the gear."""
     period, count = 0.002, 1000
     kp, d, F, armature, k, M = 20.0, 1.0, 0.3, 0.05, 0.02, 0.4
 
@@ -154,7 +154,7 @@ def test_friction_by_the_load_is_that_of_bodies_that_speed_up():
 
 @pytest.mark.parametrize("published, kept", [(1e3, True), (0.5, False)])
 def test_a_data_sheet_limits_what_the_motion_does_not(tmp_path, published, kept):
-    """It has the torque that friction leaves, which grows with no larger load than was seen."""
+    """It states the torque, less friction, which grows with the load beyond what was seen."""
     motions = alone(pendulum(tmp_path, 1e3), servo_log(seconds=6.0))
     signal = EffortSignal("hinge", "command", 50.0)
     fit = fit_servo(motions, signal, expected={"limit": (published, 0.7)})
@@ -164,7 +164,7 @@ def test_a_data_sheet_limits_what_the_motion_does_not(tmp_path, published, kept)
 
 
 def test_a_joint_that_falls_over_is_far_off_and_no_servo():
-    """It stands on its head, and the servo that the search begins with is too weak to hold it."""
+    """It stands on its head, and the servo at the start of the search is too weak to hold it."""
     period, count = 0.02, 1000
     rows = np.zeros((count, 8))
     rows[:, 1], rows[:, 2], rows[:, 4] = 0.5, -800.0, np.sin(3.0 * period * np.arange(count))
@@ -194,7 +194,7 @@ def test_efforts_of_a_servo_are_its_equation(log):
 
 
 def test_where_a_joint_stands_says_nothing_of_a_servo():
-    """Offsets of stretches, as of heavier bodies, made a tenth of the error no gain at all."""
+    """Offsets of stretches, as of heavier bodies, once led to a gain with a tenth of the error."""
     rng = np.random.default_rng(0)
     stretches = tuple(np.zeros((n, 8)) for n in (400, 300))
     motions = JointMotions(stretches, tuple(rows[:, 0] for rows in stretches), (0.004, 0.004))
@@ -215,7 +215,7 @@ def fitted(model, summed):
 
 @pytest.mark.parametrize("integral", [0.0, INTEGRAL])
 def test_a_linear_fit_of_the_motion_is_where_searches_begin(model, log, summed, integral):
-    """The gain by inertias says nothing of a servo whose integral holds the joint up."""
+    """The gain by inertias is useless for a servo whose integral holds the joint up."""
     motions = alone(model, summed if integral else log)
     found = motions.linear_servo(EffortSignal("hinge", "command", 0.5))
     assert found.gain == pytest.approx(TRUTH[0], rel=0.1)
@@ -223,7 +223,7 @@ def test_a_linear_fit_of_the_motion_is_where_searches_begin(model, log, summed, 
 
 
 def test_logs_whose_columns_were_looked_at_are_fitted_once(model, log, monkeypatch):
-    """Whatever was noticed of them since; other values are another fit."""
+    """Notes on columns do not matter; other values need another fit."""
     made = []
     linear = signal_calibration._linear
     monkeypatch.setattr(
@@ -237,7 +237,7 @@ def test_logs_whose_columns_were_looked_at_are_fitted_once(model, log, monkeypat
 
 
 def test_it_finds_the_integral_that_mujoco_has(fitted):
-    """By a log alone: bodies are those of the file, gains as uncertain as these are."""
+    """Bodies are those of the file, gains as uncertain as in a single log."""
     (signal,) = fitted[0].effort_signals
     for value, truth in ((signal.gain, TRUTH[0]), (signal.integral, INTEGRAL)):
         assert value == pytest.approx(truth, rel=0.1)
@@ -284,7 +284,7 @@ def test_it_is_saved_shown_and_named_by_exports(fitted, summed, tmp_path):
 
 
 def test_the_true_servo_moves_the_model_as_mujoco(model, summed):
-    """In a Drake diagram, from what the integral has grown to before each window."""
+    """The Drake diagram starts with the integral before each window."""
     names = (ViscousFriction, TRUTH[2]), (CoulombFriction, TRUTH[3]), (RotorInertia, TRUTH[4])
     effects = tuple(FittedEffect(kind("hinge"), np.array([value])) for kind, value in names)
     signal = EffortSignal("hinge", "command", TRUTH[0], delay=LATE, integral=INTEGRAL)
@@ -359,7 +359,7 @@ def test_simulation_is_that_of_position_servo(band):
 
 
 def test_it_finds_a_dead_band(model, log, tmp_path):
-    """Beside dry friction, which it is not where weight pulls; and what has it moves like that."""
+    """Dry friction does not act where weight pulls; the model with it moves like the log."""
     motions = alone(model, log)
     servo = [60.0, 0.0, 4.0, 0.2, 0.08, 0.0, 0.0, 0.0, 0.0, 0.02]
     told = replace(motions, positions=(motions.simulated(motions.servo(servo)),))
@@ -386,7 +386,7 @@ def test_it_finds_a_dead_band(model, log, tmp_path):
     [(np.inf, 0.0, 0.0), (7.0, 0.2, 0.0), (7.0, 0.9, 0.0), (np.inf, 0.0, 0.01)],
 )
 def test_slopes_are_finite_differences(limit, own, band, tmp_path):
-    """Of two stretches, each with an effort of its own that the integral begins with."""
+    """Each of two stretches begins with an effort of the integral."""
     log = servo_log(integral=60.0, limit=limit, seconds=7.0)
     whole = alone(pendulum(tmp_path, 100 if np.isinf(limit) else limit), log)
     motions = JointMotions(
@@ -446,7 +446,7 @@ def test_velocity_feedback_is_within_the_limit(tmp_path):
 
 
 def test_a_joint_that_stands_exactly_still_has_no_servo():
-    """Of no effort, too: no number is divided by what is not there."""
+    """Nor has one without effort; nothing is divided by zero."""
     rows = np.zeros((400, 8))
     rows[:, 1] = 0.5
     motions = JointMotions((rows,), (rows[:, 4],), (0.004,))
@@ -480,7 +480,7 @@ def test_an_integral_in_a_log_is_held_as_that_of_position_servo():
 
 
 def test_an_integral_that_makes_a_joint_swing_up_ends_its_search():
-    """Its slopes grow beyond numbers."""
+    """Its gradients overflow."""
     rows, time = np.zeros((6000, 8)), 0.005 * np.arange(6000)
     rows[:, 7], rows[:, 4] = np.sin(2.0 * time), 0.9 * np.sin(2.0 * time - 0.2)
     rows[:, 5] = np.gradient(rows[:, 4], time)
@@ -493,7 +493,7 @@ def test_an_integral_that_makes_a_joint_swing_up_ends_its_search():
 
 
 def test_commands_between_rows_bend_as_smooth_ones_do():
-    """Straight lines look like a servo that knows their rate and acts later: less friction."""
+    """Straight lines would resemble a servo that knows their rate, with less friction."""
     rate, period = 2.0 * np.pi * 2.0, 0.02
     rows = np.zeros((200, 8))
     rows[:, 7] = np.sin(rate * period * np.arange(200))
@@ -513,7 +513,7 @@ ARM = load_model(MODELS / "arm6.urdf")
 
 
 def friction(seen):
-    """Dry and viscous friction in another formula than the library's."""
+    """Return dry and viscous friction in another formula than the library's."""
     return 2.0 * seen.v / np.sqrt(seen.v**2 + 1e-4) + 1.5 * seen.v
 
 
@@ -533,7 +533,7 @@ def found(torques):
 
 
 def test_gains_lie_in_their_intervals_and_near(found):
-    """Bodies 5 % off in the geometric distance, friction of every joint, one sign turned round."""
+    """Bodies are 5 % off, every joint has friction, and one sign is reversed."""
     ratio = np.array([s.gain for s in found]) / GAINS
     spread = np.array([s.uncertainty for s in found])
     told = spread < 0.4  # light wrists hardly show theirs

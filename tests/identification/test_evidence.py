@@ -21,7 +21,7 @@ def autoregressive(rng, n, rho):
 
 @pytest.mark.parametrize("parameters", [1, 10])
 def test_false_alarms_are_as_frequent_as_stated(parameters):
-    """Of irrelevant regressors; training gains are the worst case."""
+    """Regressors are irrelevant; training gains are the worst case."""
     rng, runs, n = np.random.default_rng(6), 1000, 200
     stated = np.empty(runs)
     for i in range(runs):
@@ -51,7 +51,7 @@ def test_coloured_residuals_raise_no_false_alarms():
 
 @pytest.mark.parametrize("folds", [3, 8])
 def test_ties_of_equals_are_evenly_spread(folds):
-    """Paired losses that differ by chance only: the p-value is uniform, but for its steps."""
+    """Paired losses differ by chance only, so the p-value is uniform up to its steps."""
     rng, runs = np.random.default_rng(10), 1000
     pairs = 5.0 + rng.normal(size=(runs, 2, folds))
     p = np.array([tie_probability(a, b) for a, b in pairs])
