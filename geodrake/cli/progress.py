@@ -6,6 +6,7 @@ current activity, without control characters.
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -151,21 +152,20 @@ def progress(words: str, *, quiet: bool = False) -> Iterator[Activity]:
 
 
 def step_teller(activity: Activity) -> Callable[[FoundStep], None]:
-    """Return a callback that prints each step of a search that changes the printed error."""
-    count = 0
+    """Return a callback that prints each step with the smallest error so far, in two digits."""
+    printed: list[float] = []
 
     def tell(step: FoundStep) -> None:
-        nonlocal count
         if step.is_last:
             activity.history(STOPPING)
             return
-        from geodrake.report.numbers import number  # slow to import
-        from geodrake.report.words import found_words
+        from geodrake.report.words import found_words  # slow to import
 
-        if number(step.after) != number(step.before):
-            count += 1
-            activity.history(f"{count}  {found_words(step)}")
-        error = f", error {step.after / step.floor:.3g} times the noise" if step.floor > 0.0 else ""
-        activity(f"Searching{error}")
+        error = float(f"{step.after:.2g}")
+        if error < min(printed, default=math.inf):
+            printed.append(error)
+            activity.history(f"{len(printed)}  {found_words(step)}")
+        words = f", error {step.after / step.floor:.3g} times the noise" if step.floor > 0.0 else ""
+        activity(f"Searching{words}")
 
     return tell

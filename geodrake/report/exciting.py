@@ -308,7 +308,7 @@ def _limits_table(result: ExcitationResult, units: Units) -> Table:
         rows.append(cells(name, start[j], *ranges, position, *shares, *peaks))
     shares_of = ("range", "velocity", "acceleration", "jerk", "effort")
     head = ("joint", "start", "limits", "moves in", *shares_of, "peak speed", "peak acceleration")
-    return Table(head, rows, deep=("range", "jerk", "peak speed", "peak acceleration"))
+    return Table(head, rows, deep=("limits", "range", "jerk", "peak speed", "peak acceleration"))
 
 
 def _motion_chart(result: ExcitationResult, units: Units) -> Chart:

@@ -292,7 +292,7 @@ def logs_page(found: InspectedLogs, about: About) -> Page:
     ]
     for name, each in found.logs:
         sections += [
-            Section(name, tables=(_columns_table(each),)),
+            Section(name, "Ranges in SI units.", tables=(_columns_table(each),)),
             Section("Rows", items=_row_words(each)),
             notes_section(each.notes, each.first),
         ]
@@ -301,16 +301,20 @@ def logs_page(found: InspectedLogs, about: About) -> Page:
 
 
 def _columns_table(found: LogInspection) -> Table:
-    """Return the joint and quantity of each column."""
-    rows = []
+    """Return the range of each quantity of each joint in SI units, and its column."""
+    quantities = list(dict.fromkeys(each.quantity for each in found.columns))
+    rows = {each.joint: dict.fromkeys(quantities, "") for each in found.columns}
     for each in found.columns:
-        unit = each.unit or _SI.get(each.quantity, "")
-        if not np.isclose(each.factor, 1.0, rtol=1e-12, atol=0.0):
-            unit = f"{unit} × {number(each.factor, 4)}".strip()
-        names = each.joint, each.quantity, each.column, unit
-        rows.append(cells(*names, each.lowest, each.highest, each.empty or ""))
-    head = ("joint", "quantity", "column", "unit", "least", "largest", "empty")
-    return Table(head, rows, words=4)
+        lines = [f"{number(each.lowest)} … {number(each.highest)}"]
+        factor = "" if np.isclose(each.factor, 1.0, rtol=1e-12) else f"× {number(each.factor, 4)}"
+        column = each.column if each.column != f"{each.joint}.{each.quantity}" else ""
+        source = ", ".join(filter(None, (column, f"{each.unit} {factor}".strip())))
+        lines += [source] if source else []
+        lines += [f"{each.empty} empty"] if each.empty else []
+        rows[each.joint][each.quantity] = "\n".join(lines)
+    head = ("joint", *(f"{q}, {_SI[q]}" if q in _SI else q for q in quantities))
+    entries = [cells(joint, *texts.values()) for joint, texts in rows.items()]
+    return Table(head, entries, words=len(head))
 
 
 def _row_words(found: LogInspection) -> tuple[str, ...]:

@@ -90,9 +90,12 @@ def ordered_places(step: Step) -> list[str]:
 def step_parameters(step: Step, units: Units) -> tuple[str, ...]:
     """Return a line for each parameter of a step: its value, or its values at several places.
 
-    A deviation includes the systematic one. Names that the effect's name contains are omitted.
+    A deviation includes the systematic one. Shapes, which have none, are omitted, and so are names
+    that the effect's name contains.
     """
     values = _by_name(step)
+    known = {name for table in step.deviations.values() for name in table if table[name] > 0}
+    values = {name: values[name] for name in values if name in known} or values
     summary = units.effects[step.effect].summary if step.effect in units.effects else ""
     if summary in values:
         values = {summary: values[summary]}
@@ -232,7 +235,7 @@ def explanation_facts(
         if not lowers_error(step)
     ]
     facts = {
-        "Added" if added else "Missing": _findings(certain, units),
+        "Effect" if added else "Missing": _findings(certain, units),
         "Less certain": _findings([step for step in steps if step not in certain], units),
         "No help": listed(worse),
         "Interrupted": "more may be missing" * explanation.is_interrupted,
@@ -278,7 +281,7 @@ def _motion_shares(explanation: Explanation) -> str:
         return "neither positions nor velocities; perhaps temperature or time, or coloured noise"
     shown, more = notable[:MOST_NAMED], len(notable) - MOST_NAMED
     shown += [f"less at {more} more"] if more > 0 else []
-    return f"positions and velocities: {listed(shown)}"
+    return f"positions and velocities, {listed(shown)}"
 
 
 def diagnosis_facts(diagnosis: Diagnosis) -> dict[str, str]:

@@ -259,7 +259,7 @@ def test_one_line_and_no_file(folder, words, says):
 def test_columns_must_be_those_of_the_robot(folder):
     header, rows = Path("log.csv").read_text().split("\n", 1)
     for changed, says in (
-        (header.replace("effort", "colour"), "Without efforts"),
+        (header.replace("effort", "colour"), "efforts: none"),
         (header.replace("elbow", "elbw"), "(nearest: 'elbow')"),
         (header.replace("elbow.effort", "elbow.colour"), "has positions but no efforts of elbow"),
         ("0,0.1,0.1,0.1,0.1", "has no header"),

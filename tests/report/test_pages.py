@@ -282,7 +282,7 @@ def test_an_added_effect_that_makes_things_worse_is_said_to():
     added = dataclasses.replace(added, end=errors(joints, 1.01))
     answer = page_of(Explained.of(added, added=True)).answer
     assert answer["No help"] == "joint spring (nrms 0.565 → 0.569)"
-    assert answer["Added"] == "joint spring (all 3 joints)"
+    assert answer["Effect"] == "joint spring (all 3 joints)"
     text = page(added)
     assert "explained none of the squared error" in " ".join(Reader(text).text)
     assert "xplained in part" not in text
@@ -316,7 +316,7 @@ def test_what_is_left_is_told_by_its_size():
     for share, mark in ((0.02, "Explained to practical noise: "), (0.5, "Explained in part: ")):
         found = dataclasses.replace(explanation(joints), end=errors(joints, share))
         assert page_of(found).headline.startswith(mark)
-    for share, words in ((0.3, "positions and velocities: 30 % at joint_0"), (0.01, "neither")):
+    for share, words in ((0.3, "positions and velocities, 30 % at joint_0"), (0.01, "neither")):
         told = dataclasses.replace(explanation(joints), of_motion={"joint_0": share})
         assert page_of(told).answer["Depends on"].startswith(words)
 

@@ -715,7 +715,9 @@ class Columns:
         if len(undriven) == len(positioned):
             texts = {} if positioned or efforts else table.first_words
             words = [f"; {n!r} holds {cell[:_LONGEST_WORD]!r}" for n, cell in texts.items()]
-            words = words or [f"; its columns are {listed(table.names)}"]
+            known = {source.column for source in self.places.values()}
+            others = [name for name in table.names if name not in known]
+            words = words or [f"; other columns: {listed(others)}"]
             advice = _WORDS_ADVICE if texts else ""
             advice += f"{HEADER_ADVICE} {SIGNAL_ADVICE} {_MAPPING_ADVICE}"
             if self.reading.mapping is not None:
@@ -723,7 +725,7 @@ class Columns:
             raise LogError(
                 f"Log {str(path)!r} has no joint with both position and effort; positions: "
                 f"{listed(positioned)}; efforts: {listed(efforts)}{''.join(words[:_FEW_WORDS])}.",
-                advice=f"Without efforts, nothing can be said about dynamics. {advice}",
+                advice=advice,
             )
         position_only = tuple(j for j in undriven if j in self.own or j in (wanted or ()))
         if position_only and not partial:
