@@ -268,14 +268,13 @@ class Layout:
 
     def _inertial_at(self, motion: Motion, phi: Array) -> tuple[dict[int, Array], Array]:
         """Return inertial columns of every joint, and the efforts (N, nv) for φ (10 nb,)."""
-        rows = {j: np.empty((len(at), len(motion))).T for j, at in enumerate(self.bodies)}
+        rows = [np.empty((len(at), len(motion))) for at in self.bodies]
         load = np.empty(motion.v.shape)
         for part, Y in regressor_pieces(self.tree, motion.q, motion.v, motion.vd):
             np.matmul(Y, phi, out=load[part])
             for j, at in enumerate(self.bodies):
-                # Other modes than "clip" make a copy.
-                np.take(Y[:, j], at, axis=1, out=rows[j][part], mode="clip")
-        return rows, load
+                rows[j][:, part] = Y[:, j].T[at]
+        return {j: columns.T for j, columns in enumerate(rows)}, load
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,6 +32,7 @@ from geodrake.logs.folds import validation_blocks
 from geodrake.logs.log_checks import check_saturation
 from geodrake.logs.motion import PASSIVE, SIGNAL_KINDS, JointLog, Motion, Trajectory
 from geodrake.logs.preparation import prepare_logs
+from geodrake.logs.uniform_log import UniformLog, make_uniform
 from geodrake.logs.units_of_values import effort_hint, position_unit_hint
 from geodrake.model.carried_payloads import carried_phi, carrying
 from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal, signal_of
@@ -205,7 +206,7 @@ def calibrated(
     cached_logs, linear = _LINEAR.pop(model, ((), None))
     if linear is None or len(cached_logs) != len(logs) or not all(map(_is_same, cached_logs, logs)):
         linear = _linear(model, logs, kinds)
-    trajectories, gains = linear
+    prepared, gains = linear
     signals, deviations = dict[int, EffortSignal](), gains.deviations * np.abs(gains.gains)
     for j, (joint, kind) in enumerate(zip(model.joints, kinds, strict=True)):
         if kind != EFFORT:
@@ -215,7 +216,7 @@ def calibrated(
     if not simulate:
         _LINEAR[model] = tuple(logs), linear
     elif servos:
-        motions, groups = servo_motions(model, logs, servos, trajectories), _groups(model, kinds)
+        motions, groups = servo_motions(model, logs, servos, prepared), _groups(model, kinds)
         starts = {j: data.pieces().linear_servo(signals[j]) for j, data in motions.items()}
         for j, data in motions.items():
             usual = float(np.median([starts[k].gain for k in servos if groups[k] == groups[j]]))
@@ -236,8 +237,11 @@ def calibrated(
     return tuple(signals.values())
 
 
-_Linear = tuple[Sequence[Trajectory], SignalGains]
-"""Prepared logs with signals in place of efforts, and gains of a linear fit."""
+_Prepared = tuple[Sequence[UniformLog], Sequence[Trajectory]]
+"""Logs with signals in place of efforts, before and after their preparation for a linear fit."""
+
+_Linear = tuple[_Prepared, SignalGains]
+"""Such logs, and gains of a linear fit."""
 
 _LINEAR = WeakKeyDictionary[RobotModel, tuple[tuple[JointLog, ...], _Linear]]()
 """Linear fits of the last logs of a model, reused when these logs are simulated."""
@@ -251,7 +255,7 @@ def _is_same(log: JointLog, other: JointLog) -> bool:
 
 def _linear(model: RobotModel, logs: Sequence[JointLog], kinds: Sequence[str]) -> _Linear:
     """Fit the gains of signals of the given `kinds` (nv,)."""
-    trajectories = prepare_logs(signals_as_efforts(logs, kinds))
+    uniform, trajectories = _prepared(logs, kinds)
     usual = [kind for kind in catalogue() if kind.complexity == 0]
     free = [kind.shaped(joint)[0] for joint in model.single_joints for kind in usual]
     free += [effect for effect in effects_of(model) if effect.role is not Role.BODY]
@@ -266,7 +270,12 @@ def _linear(model: RobotModel, logs: Sequence[JointLog], kinds: Sequence[str]) -
     d = model.phi.size
     rows = [SignalRows.of(dataset, j, d, free, payloads=payloads) for j in range(len(kinds))]
     gains = signal_gains(rows, model, _gain_priors(model, logs, kinds), _groups(model, kinds))
-    return trajectories, gains
+    return (uniform, trajectories), gains
+
+
+def _prepared(logs: Sequence[JointLog], kinds: Sequence[str]) -> _Prepared:
+    uniform = [make_uniform(log) for log in signals_as_efforts(logs, kinds)]
+    return uniform, prepare_logs(uniform)
 
 
 def _groups(model: RobotModel, kinds: Sequence[str]) -> list[str]:
@@ -331,21 +340,20 @@ def servo_motions(
     model: RobotModel,
     logs: Sequence[JointLog],
     joints: Sequence[int],
-    trajectories: Sequence[Trajectory] | None = None,
+    prepared: _Prepared | None = None,
 ) -> dict[int, JointMotions]:
     """Return the data for simulations of servo joints, at sufficient bandwidth.
 
-    The bodies are those of the model, not of a linear fit. `trajectories` are the logs as prepared
-    for such a fit, if there was one.
+    The bodies are those of the model, not of a linear fit. `prepared` are the logs as prepared for
+    such a fit, if there was one.
     """
     kinds = [COMMAND if j in joints else EFFORT for j in range(len(model.joints))]
-    signals = signals_as_efforts(logs, kinds)
-    first = prepare_logs(signals) if trajectories is None else trajectories
+    uniform, first = _prepared(logs, kinds) if prepared is None else prepared
     highest = HIGHEST_BANDWIDTH / max(t.filter.period for t in first)
     bandwidth, motion_bandwidth = first[0].bandwidths
     motion_bandwidth = min(max(motion_bandwidth, _LEAST_MOTION_BANDWIDTH), highest)
-    prepared = prepare_logs(signals, bandwidth=bandwidth, motion_bandwidth=motion_bandwidth)
-    return motions_of(replace(model, effects=()), logs, prepared, joints)
+    sharp = prepare_logs(uniform, bandwidth=bandwidth, motion_bandwidth=motion_bandwidth)
+    return motions_of(replace(model, effects=()), logs, sharp, joints)
 
 
 def servo_by_motion(
