@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import told
+from pydrake.multibody.tree import MultibodyForces
 from scripts import call
 
 from diagrams.benchmarks import hidden_effects as logs
@@ -58,17 +59,10 @@ class TestArm:
         for k in range(len(q)):
             arm.plant.SetPositions(context, J @ q[k])
             arm.plant.SetVelocities(context, J @ v[k])
-            needed = arm.plant.CalcInverseDynamics(
-                context, J @ vd[k], _no_forces(arm.plant)
-            ) - arm.plant.CalcGravityGeneralizedForces(context)
+            needed = arm.plant.CalcInverseDynamics(context, J @ vd[k], MultibodyForces(arm.plant))
+            needed -= arm.plant.CalcGravityGeneralizedForces(context)
             expected = J.T @ needed + robot.ROTOR_INERTIA * vd[k]
             np.testing.assert_allclose(torque[k], expected, rtol=1e-10, atol=1e-12)
-
-
-def _no_forces(plant):
-    from pydrake.multibody.tree import MultibodyForces
-
-    return MultibodyForces(plant)
 
 
 MODELS = Path(__file__).parents[2] / "models"

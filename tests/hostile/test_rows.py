@@ -1,7 +1,6 @@
 """Commands with bad, unlucky and malicious files, which are rows of data."""
 
 import os
-from dataclasses import replace
 
 import pytest
 from good_files import DIRECTIVES, SAVED
@@ -34,12 +33,9 @@ def test_row(row, tmp_path):
 def test_efforts_in_other_units_are_simulated(tmp_path, monkeypatch):
     """The robot diverges in ever smaller steps; the test allows fewer of them."""
     monkeypatch.setattr(stepping, "_FINEST", 1)
-    command, says = (
-        "rollout robot.urdf x.csv --json new.json",
-        ("in other units", "simulation fails"),
-    )
-    row = Row("in N·mm", command, says, {"x.csv": log("e *= 1e3")}, code=0)
-    replace(row, writes=("new.json",)).check(tmp_path)
+    command = "rollout robot.urdf x.csv --json new.json"
+    says, make = ("in other units", "simulation fails"), {"x.csv": log("e *= 1e3")}
+    Row("in N·mm", command, says, make, code=0, writes=("new.json",)).check(tmp_path)
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root reads everything")

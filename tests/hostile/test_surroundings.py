@@ -13,7 +13,6 @@ import signal
 import stat
 import sys
 import time
-from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -32,18 +31,18 @@ GEODRAKE = f"{shlex.quote(sys.executable)} -m geodrake"
 BAD = b"foo: bar\nfont.size: x\n"
 SETTINGS = {
     "no home, no such backend, no folder for passing files, the locale C, poor terminal": (
-        {"HOME": None, "MPLBACKEND": "nonsense", "TMPDIR": "/none", "LC_ALL": "C", "LANG": None},
-        {"PYTHONUTF8": None, "TERM": "dumb", "COLUMNS": "10"},
+        {"HOME": None, "MPLBACKEND": "nonsense", "TMPDIR": "/none", "LC_ALL": "C", "LANG": None}
+        | {"PYTHONUTF8": None, "TERM": "dumb", "COLUMNS": "10"},
         {},
     ),
     "no writable home, a backend with windows, no such locale, TeX, no terminal, ASCII": (
-        {"HOME": "/proc/none", "MPLBACKEND": "tkagg", "DISPLAY": None, "LC_ALL": "xx_YY.UTF-8"},
-        {"MATPLOTLIBRC": "rc", "TERM": None, "COLUMNS": "0", "PYTHONIOENCODING": "ascii"},
+        {"HOME": "/proc/none", "MPLBACKEND": "tkagg", "DISPLAY": None, "LC_ALL": "xx_YY.UTF-8"}
+        | {"MATPLOTLIBRC": "rc", "TERM": None, "COLUMNS": "0", "PYTHONIOENCODING": "ascii"},
         dict.fromkeys(("matplotlibrc", "rc"), "text.usetex: True\n"),
     ),
     "a home that is no folder, settings that are none, no columns, colours, strict ASCII": (
-        {"HOME": "home", "XDG_CACHE_HOME": "home", "MATPLOTLIBRC": "rc", "COLUMNS": "many"},
-        {"LINES": "-1", "FORCE_COLOR": "", "NO_COLOR": "1", "PYTHONIOENCODING": "ascii:strict"},
+        {"HOME": "home", "XDG_CACHE_HOME": "home", "MATPLOTLIBRC": "rc", "COLUMNS": "many"}
+        | {"LINES": "-1", "FORCE_COLOR": "", "NO_COLOR": "1", "PYTHONIOENCODING": "ascii:strict"},
         {"home": "not a folder", **dict.fromkeys(("matplotlibrc", "rc"), BAD)},
     ),
 }
@@ -53,10 +52,10 @@ SETTINGS = {
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("what", SETTINGS)
 def test_settings(what, tmp_path):
-    some, others, files = SETTINGS[what]
-    command = "compare robot.urdf log.csv --json new.json --report new.html"
-    row = Row(what, command, make=files, code=0, environment=some | others)
-    replace(row, writes=("new.json", "new.html")).check(tmp_path)
+    environment, make = SETTINGS[what]
+    command, files = "compare robot.urdf log.csv", ("new.json", "new.html")
+    command += " --json new.json --report new.html"
+    Row(what, command, make=make, code=0, writes=files, environment=environment).check(tmp_path)
 
 
 def test_a_working_directory_that_is_gone(filled):
