@@ -31,7 +31,7 @@ def log(tmp_path_factory):
     return path
 
 
-def test_explain_tells_saves_and_writes_the_schema(log, tmp_path):
+def test_explain_prints_saves_and_writes_numbers(log, tmp_path):
     saved, numbers = tmp_path / "model.yaml", tmp_path / "out.json"
     output = told("explain", MODEL, log, "--save", saved, "--json", numbers)
     for words in ("coulomb_friction", "Verdict: ", "joint by joint, bodies, notes", str(saved)):
@@ -73,7 +73,7 @@ def test_diagnose_ranks_and_saves_the_model_as_loaded(log, tmp_path):
     assert load_model(saved).effects == ()
 
 
-def test_module_runs_piped_in_ascii_with_no_more_than_a_word_now_and_then(log):
+def test_module_runs_in_a_pipe_in_ascii_almost_silently(log):
     """Only pages need matplotlib."""
     command = [sys.executable, "-X", "importtime", "-m", "geodrake", "compare", str(MODEL), log]
     done = processes.start(command, PYTHONIOENCODING="ascii", COLUMNS="80")
@@ -95,7 +95,7 @@ def test_version_and_help():
     assert all(command in text for command in ("compare", "diagnose", "add", "explain", "demo"))
 
 
-def test_delays_are_shown_in_milliseconds_and_what_is_called_so_and_is_no_time_is_not():
+def test_only_delays_in_seconds_are_shown_in_milliseconds():
     class Sluggish(JointEffect):
         name = "sluggish"
         parameters = (Parameter("delay", "N·m"),)
@@ -124,7 +124,7 @@ def test_demo_explains_the_log_that_ships(tmp_path):
     assert "--details adds: " in result.output
 
 
-def test_a_joint_at_rest_is_held_unless_it_is_to_be_kept(tmp_path):
+def test_joints_at_rest_are_held_unless_told_otherwise(tmp_path):
     """The shoulder's brake holds more than its weight, and its encoder flickers."""
     rng, time = np.random.default_rng(3), np.arange(0.0, 20.0, 0.01)
     model = load_model(MODEL)
@@ -143,7 +143,7 @@ def test_a_joint_at_rest_is_held_unless_it_is_to_be_kept(tmp_path):
     assert held["error"]["nrms"] < 0.1 < kept["error"]["nrms"]
 
 
-def test_a_wrong_sign_is_said_first_and_corrected_where_that_is_asked_for(tmp_path):
+def test_a_wrong_sign_is_reported_first_and_corrected_on_request(tmp_path):
     words = "The effort of elbow has the wrong sign"
     log = effort_log("double_pendulum", 3, off=0.1, duration=8.0, share=0.01).log
     wrong, numbers, page = (tmp_path / name for name in ("wrong.csv", "n.json", "page.html"))

@@ -291,7 +291,7 @@ def test_bad_words_are_refused_before_anything_is_read(folder, monkeypatch):
         refused(command, *options[:1], "pendulum.urdf", "log.csv", *options[1:])
 
 
-def test_a_saved_model_says_where_its_base_was(folder):
+def test_a_saved_model_names_its_missing_base_file(folder):
     save_model(load_model("pendulum.urdf"), "pendulum.yaml")
     Path("pendulum.urdf").unlink()
     message = refused("explain", "pendulum.yaml", "log.csv")
@@ -309,7 +309,7 @@ def test_zero_masses_and_odd_units_are_noted_and_not_fatal(folder):
     assert "Efforts seem to be in other units" in output
 
 
-def test_a_bug_is_told_in_one_line_and_traced_on_demand(folder, monkeypatch):
+def test_bugs_are_reported_in_one_line_and_traced_on_demand(folder, monkeypatch):
     def broken(*_arguments, **_settings):
         raise RuntimeError("the sky\nfell")
 

@@ -59,7 +59,7 @@ def test_logs_become_digests_once():
     assert contents(Path("digests")) == before
 
 
-def test_a_log_that_fails_is_exit_code_1_and_a_row():
+def test_a_failing_log_gives_exit_code_1_and_a_row():
     Path("bad.csv").write_text("time,x\n1,2\n", encoding="utf-8")
     done = run(*words_of("bad.csv none.csv log_1.csv --to digests --json -"))
     assert done.exit_code == 1

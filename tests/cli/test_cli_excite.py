@@ -161,7 +161,7 @@ class TestTellApart:
         assert separation.pairs[0].effects.max() == 0.05
         assert "effects have the sizes in the model" in notes[0]
 
-    def test_what_contains_the_other_is_said(self):
+    def test_effects_that_contain_their_rival_are_noted(self):
         model = load_model(PENDULUM)
         pair = rivals_in("coulomb_friction,asymmetric_friction")
         separation, notes = separation_of(model, *pair, limits_of(None, model), noise=0.1)
@@ -185,7 +185,7 @@ class TestLimits:
         assert (limits.lower[1], limits.upper[1]) == (0.0, 1.0)
         np.testing.assert_allclose(limits.upper[0] - limits.lower[0], plain.reach[0])
 
-    def test_of_currents_are_those_of_the_efforts_they_make(self):
+    def test_limits_of_currents_become_limits_of_efforts(self):
         signals = (EffortSignal("elbow", "current", -2.0, 0.1),)
         driven = replace(self.model, effort_signals=signals)
         plain = limits_of(None, driven)
@@ -248,7 +248,7 @@ BENT = {"leg_hpy": -0.4, "leg_kny": 0.8, "leg_aky": -0.4}
 class TestFeet:
     FAST = ("--duration", 4, "--harmonics", 2, "--samples", 20, "--seeds", 1, "--iterations", 1)
 
-    def test_a_motion_on_two_feet_is_a_log_that_compare_understands(self, tmp_path):
+    def test_compare_reads_a_motion_on_two_feet(self, tmp_path):
         """Efforts agree with the model's apart from the unknown forces at both feet."""
         motion, numbers = tmp_path / "m.csv", tmp_path / "n.json"
         joints = load_model(BIPED).joints

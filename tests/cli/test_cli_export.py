@@ -78,7 +78,7 @@ def test_simulators_agree_on_what_the_files_hold(in_urdf):
     assert numbers["ignored"] == ["coulomb_friction"]
 
 
-def test_each_effect_that_is_lacking_has_its_price(in_urdf):
+def test_each_missing_effect_has_its_cost(in_urdf):
     printed, numbers = in_urdf
     lacks = {each["effect"]: each for each in numbers["lacks"]}
     assert set(lacks) == {"stribeck_friction", "load_dependent_friction", "effort_delay"}
@@ -96,7 +96,7 @@ def test_each_effect_that_is_lacking_has_its_price(in_urdf):
     assert "Ignored: coulomb_friction by Drake" in printed
 
 
-def test_the_price_is_that_of_the_file_compared_with_the_log(folder, in_urdf):
+def test_the_cost_is_the_error_of_the_file_on_the_log(folder, in_urdf):
     _, numbers = in_urdf
     path = folder / "new" / "urdf" / MODEL.name
     result = run("compare", path, folder / "log.csv", "--json", "-")
@@ -122,7 +122,7 @@ def test_other_formats_without_a_log(to, files, folder, tmp_path):
     assert ("without geometry" in " ".join(numbers["notes"])) == (to == "mjcf")
 
 
-def test_a_file_that_says_something_else_is_noticed(folder, tmp_path, monkeypatch):
+def test_a_different_file_is_noticed(folder, tmp_path, monkeypatch):
     kept = proof.without
     monkeypatch.setattr(proof, "without", lambda model, kinds: kept(load_model(MODEL), kinds))
     output, _ = export(folder / "model.yaml", "--to", "urdf", "out")
@@ -135,14 +135,14 @@ def test_a_floating_robot_goes_into_its_own_format():
     assert "not tested in simulators" in output
 
 
-def test_simulators_that_are_not_there_are_named(monkeypatch):
+def test_missing_simulators_are_named(monkeypatch):
     monkeypatch.setattr(proof, "find_spec", lambda name: None)
     output, _ = export(MODEL, "--to", "urdf", "out")
     assert 'pip install "geodrake[export]"' in output
     assert Path("out", MODEL.name).is_file()
 
 
-def test_a_file_that_is_there_stays(tmp_path):
+def test_existing_files_stay(tmp_path):
     there = tmp_path / MODEL.name
     there.write_text("mine")
     assert "--force" in refused("export", MODEL, "--to", "urdf", tmp_path)

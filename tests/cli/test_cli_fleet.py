@@ -43,7 +43,7 @@ def fleet(words="", file="fleet.yaml"):
     return result.exit_code, result.stdout, result.stderr
 
 
-def test_findings_are_said_and_written(folder):
+def test_findings_are_printed_and_written(folder):
     first = folder / STICKY / f"{date_of(0)}.csv"
     shutil.copy(first, first.with_name(f"{date_of(1)}\udcff.csv"))
     code, out, err = fleet("--json new.json --report page.html")
@@ -97,7 +97,7 @@ def test_once_exits_with_3_if_a_finding_is_new(folder, monkeypatch):
     assert fleet("--once") == (0, "", "")
 
 
-def test_a_watch_goes_on_when_a_place_does_not_answer(folder, monkeypatch):
+def test_a_watch_continues_when_a_store_does_not_answer(folder, monkeypatch):
     found = FleetResult((), (), 0.01, {}), FleetDigests({}, (), {}, 0)
     silent = FleetError("Logs 's3://x' cannot be listed: TimeoutError.")
     look = Mock(side_effect=[found, silent, DigestError("There are digests of something else.")])
@@ -110,7 +110,7 @@ def test_a_watch_goes_on_when_a_place_does_not_answer(folder, monkeypatch):
     ]
 
 
-def test_what_is_wrong_is_one_line_and_leaves_nothing(folder, monkeypatch):
+def test_errors_are_one_line_and_leave_no_file(folder, monkeypatch):
     monkeypatch.setattr("geodrake.fleet.workers._TIMEOUT", 0.5)
     before = contents(folder)
     for words, says in (

@@ -122,13 +122,13 @@ def test_the_fit_is_the_truth_within_its_deviations(found):
     assert [t.gamma for t in found.sweep] == sorted((t.gamma for t in found.sweep), reverse=True)
 
 
-def test_a_weight_that_is_given_is_taken(log):
+def test_a_given_weight_is_used(log):
     numbers = identify(log, "--effects", FRICTIONS, "--regularizer", "riemannian", "--gamma", 3)
     assert (numbers["regularizer"], numbers["gamma"]) == ("riemannian", 3.0)
     assert numbers["sweep"] == [] and numbers["error"]["end_nrms"] < 0.3
 
 
-def test_compare_tells_of_a_regularizer_without_a_solution(log, monkeypatch):
+def test_compare_names_a_regularizer_without_a_solution(log, monkeypatch):
     solve = LogFits.solve
 
     def failing(self, regularizer, **options):
@@ -178,7 +178,7 @@ def test_a_payload_is_a_body_of_its_own(tmp_path):
     assert new.before.nrms > 3 * new.after.nrms
 
 
-def test_a_bare_model_is_told_what_it_lacks(log):
+def test_missing_effects_of_a_bare_model_are_suggested(log):
     assert f"--effects {FRICTIONS}" in told("identify", MODEL, log, "--gamma", "10")
 
 
@@ -193,7 +193,7 @@ def test_effects_by_name():
         with_effects(has, [CoulombFriction("elbow")])
 
 
-def test_what_a_solver_cannot_do_is_told_with_what_helps(log, monkeypatch):
+def test_errors_of_solvers_say_what_helps(log, monkeypatch):
     nothing = IdentificationError("The solver found nothing.")
     flat = IdentificationError("The solver's parameters are not physical.", columns=[10])
     for error, option, words in (
@@ -278,7 +278,7 @@ def test_counts_are_those_of_the_motion():
     )
 
 
-def test_a_joint_that_hardly_moves_is_not_told():
+def test_parameters_of_a_joint_at_rest_are_not_identifiable():
     lame_log = sine_log(load_model(MODEL), size=(0.4, 0.01), seed=0)
     lame, lively = (found_in([each], noise=NOISE) for each in (lame_log, LOG))
     assert lame.count < lively.count

@@ -68,7 +68,7 @@ def shown(log):
     return output, json.loads(Path("x.json").read_text())["logs"][0], read_log("x.csv")
 
 
-def test_what_is_understood(tmp_path):
+def test_the_log_is_described(tmp_path):
     rows = np.delete(table(), slice(1000, 1100), axis=0)
     rows[300, 1] = 1e7
     rows[:, 1:3] = np.rad2deg(rows[:, 1:3])
@@ -85,7 +85,7 @@ def test_what_is_understood(tmp_path):
     assert np.nanmax(np.abs(again.position)) == pytest.approx(1.0, abs=1e-3)
 
 
-def test_degrees_are_told_once(tmp_path):
+def test_degrees_are_reported_once(tmp_path):
     """The check of columns corrects them, so that sizes and limits need not."""
     rows = table()
     rows[:, 1:3] = np.rad2deg(rows[:, 1:3])
@@ -113,7 +113,7 @@ def test_currents_and_commands_are_shown_and_converted(tmp_path):
     assert np.allclose(again.command[:, 1], rows[:, 4])
 
 
-def test_gains_with_deviations_count_beside_what_is_said_of_all(tmp_path):
+def test_deviations_of_some_gains_override_that_of_all(tmp_path):
     log = write(tmp_path / "log.csv", "t,q1,q2,i1,i2", table())
     reading = ReadingOptions(gain=["shoulder=2±0.2", "elbow=4"]).reading
     reading = replace(reading, usual_deviation=0.01)
@@ -122,7 +122,7 @@ def test_gains_with_deviations_count_beside_what_is_said_of_all(tmp_path):
     assert not read.effort_kinds
 
 
-def test_commands_and_currents_that_say_nothing(tmp_path):
+def test_useless_commands_and_currents_are_refused(tmp_path):
     rows = table(seconds=6.0)
     q, effort = rows[:, 1:3], rows[:, 3:]
     for near in (0.0, 0.01):
@@ -195,7 +195,7 @@ def test_one_axis_without_a_model(tmp_path):
     assert not Path("other.urdf").exists()
 
 
-def test_what_chooses_nothing_is_noted_and_models_are_read_as_everywhere(tmp_path):
+def test_options_without_a_meaning_are_noted(tmp_path):
     log = write(tmp_path / "log.csv", OWN, table(seconds=1.0))
     told("log", log, "--model", PENDULUM, "--lock", "elbow=0.3", "--quiet")
     other = write(tmp_path / "other.csv", OWN, table(seconds=2.0))
@@ -204,7 +204,7 @@ def test_what_chooses_nothing_is_noted_and_models_are_read_as_everywhere(tmp_pat
     assert "log.csv has no episodes, so 3 has no meaning" in said
 
 
-def test_a_mapping_is_written_that_corrects_the_columns(tmp_path):
+def test_a_written_mapping_corrects_the_columns(tmp_path):
     right = table()
     wrong = right * [1e3, *[180.0 / np.pi] * 2, -1.0, 1.0]
     log = write(tmp_path / "my log.csv", "stamp [ms],q1 (deg),q2 (deg),tau1,tau2", wrong)
@@ -216,7 +216,7 @@ def test_a_mapping_is_written_that_corrects_the_columns(tmp_path):
     np.testing.assert_allclose(found, right, atol=1e-9)
 
 
-def test_no_mapping_is_written_of_what_a_mapping_cannot_say():
+def test_a_mapping_cannot_express_every_table():
     rows = [f"{k / 100},{j},{np.sin(k / 9)},{k}" for k in range(60) for j in ("shoulder", "elbow")]
     Path("long.csv").write_text("time,joint,position,effort\n" + "\n".join(rows))
     said = refused("log", "long.csv", "--write-mapping", "m.yaml")

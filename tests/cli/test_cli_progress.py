@@ -48,7 +48,7 @@ def test_lines_in_a_pipe_are_plain_or_none(capsys):
             assert not any(ord(letter) < 32 for letter in err.rstrip("\n"))
 
 
-def test_share_and_time_left_are_told_where_nothing_was_said_for_long(capsys):
+def test_progress_shows_share_and_time_left_after_a_pause(capsys):
     with progress("Reading a file") as shown:
         shown.begin -= 10.0
         shown.printed -= 10.0
@@ -57,7 +57,7 @@ def test_share_and_time_left_are_told_where_nothing_was_said_for_long(capsys):
     assert capsys.readouterr().err == "Simulating (50 %, 10 s, about 10 s left)\n"
 
 
-def test_work_that_says_nothing_goes_on(capsys, monkeypatch):
+def test_silent_work_shows_its_time(capsys, monkeypatch):
     monkeypatch.setattr("geodrake.cli.progress._SILENT", 0.02)
     monkeypatch.setattr("geodrake.cli.progress._PAUSE", 0.01)
     with progress("Reading a file") as shown:
@@ -82,7 +82,7 @@ def test_an_interrupt_before_the_first_step_leaves_no_result(monkeypatch, pendul
 
 
 @pytest.mark.parametrize("twice", [False, True])
-def test_an_interrupt_keeps_what_was_found_and_a_second_ends_at_once(tmp_path, pendulum, twice):
+def test_an_interrupt_keeps_results_and_a_second_one_ends_at_once(tmp_path, pendulum, twice):
     def begin():
         said = _Lines.history
 
@@ -161,7 +161,7 @@ def test_degrees_are_named_where_a_log_is_too_short(model):
 
 
 @pytest.mark.parametrize("name", get_command(app).commands)
-def test_help_of_80_columns_cuts_nothing_and_shows_few_options_first(name):
+def test_help_fits_80_columns_and_shows_few_options_first(name):
     command = get_command(app).commands[name]
     found = run(name, "--help-all", env={"COLUMNS": "80"})
     assert "--quiet" in found.output

@@ -37,7 +37,7 @@ def gripper_log(robot, path, *, finger=0.01, **further):
     return path
 
 
-def test_a_log_without_the_gripper_holds_it_and_says_so(robot, tmp_path):
+def test_a_gripper_without_measurements_is_held_with_a_note(robot, tmp_path):
     log = gripper_log(robot, tmp_path / "log.csv", finger=0.0)
     shown = told("compare", robot, log, "--json", tmp_path / "out.json")
     assert "Fixed, as no log has efforts of these joints" in shown and "left at 0" in shown
@@ -45,13 +45,13 @@ def test_a_log_without_the_gripper_holds_it_and_says_so(robot, tmp_path):
     assert float(re.search(r"nrms ([\d.]+)", shown)[1]) < 0.02
 
 
-def test_a_gripper_whose_position_was_logged_is_held_there(robot, tmp_path):
+def test_a_gripper_is_held_at_its_logged_position(robot, tmp_path):
     columns = {"left.position": 0.03, "right.position": 0.03}
     log = gripper_log(robot, tmp_path / "log.csv", finger=0.03, **columns)
     assert "left at 0.03" in told("compare", robot, log)
 
 
-def test_a_saved_model_goes_on_holding(robot, tmp_path):
+def test_a_saved_model_keeps_held_joints(robot, tmp_path):
     log = gripper_log(robot, tmp_path / "log.csv", finger=0.02)
     model = tmp_path / "model.yaml"
     told("add", "effort_offset", robot, log, "--lock", "left=0.02", "--save", model)
@@ -79,7 +79,7 @@ def test_excite_moves_the_fingers_together(robot, tmp_path):
     assert read_log(motion).joints == ("shoulder", "elbow")
 
 
-def test_a_xacro_file_that_asks_for_more_than_values_needs_to_be_trusted(robot, tmp_path):
+def test_xacro_files_with_code_need_trust(robot, tmp_path):
     pytest.importorskip("xacro")
     text = robot.read_text().replace(
         "<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ', 1
@@ -139,7 +139,7 @@ def files(tmp_path_factory):
     return folder
 
 
-def test_a_file_beside_the_model_is_taken_and_said_unless_another_or_none_is_given(files, tmp_path):
+def test_a_transmission_file_beside_the_model_is_used_by_default(files, tmp_path):
     robot, log, out = files / "arm.urdf", files / "log.csv", tmp_path / "out.json"
     shown = told("compare", robot, log, "--json", out)
     assert "m2, m3 for pitch, roll" in shown and "arm.transmission.yaml beside" in shown
@@ -195,7 +195,7 @@ def test_wrong_transmissions_are_one_line(wrong, problem, files, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["wrong.yaml"]
 
 
-def test_a_transmission_file_is_never_replaced_and_a_model_without_motors_has_none(files):
+def test_transmission_files_are_never_overwritten(files):
     given = ("compare", files / "arm.urdf", files / "log.csv", "--transmission")
     before, beside = contents(files), files / "arm.transmission.yaml"
     assert beside.name in refused(*given, beside, "--json", beside)
@@ -253,7 +253,7 @@ def checked(path):
         ("", "upper has a mass of 0 kg"),
     ],
 )
-def test_a_mass_that_was_replaced_is_no_agreement(tmp_path, mass, problem):
+def test_a_repaired_mass_fails_the_check(tmp_path, mass, problem):
     done, numbers = checked(model_of(tmp_path, mass))
     assert done.exit_code == 1
     assert done.output.startswith(f"Warning: two.urdf was repaired. {problem}")
@@ -274,7 +274,7 @@ def test_a_mass_that_was_replaced_is_no_agreement(tmp_path, mass, problem):
         ("cpp", "two_effort.hpp"),
     ],
 )
-def test_what_is_exported_says_what_was_replaced(tmp_path, form, file):
+def test_exported_files_state_repairs(tmp_path, form, file):
     target = tmp_path / "out"
     done = run("export", model_of(tmp_path, '<mass value="nan"/>'), "--to", form, target, "-q")
     assert done.exit_code == 0
@@ -283,7 +283,7 @@ def test_what_is_exported_says_what_was_replaced(tmp_path, form, file):
     assert "geodrake repaired two.urdf: upper has a mass" in text
 
 
-def test_a_repair_of_a_link_with_any_name_leaves_xml(tmp_path):
+def test_repairs_of_links_with_any_name_keep_valid_xml(tmp_path):
     path = model_of(tmp_path, '<mass value="nan"/>')
     text = path.read_text("utf-8").replace('"upper"', '"up--per--&gt;-"')
     path.write_text(text, encoding="utf-8")
@@ -305,7 +305,7 @@ def test_many_repairs_are_counted(tmp_path):
     assert "4 more of its parts were replaced or omitted" in done.output
 
 
-def test_what_code_of_users_prints_is_no_result(tmp_path):
+def test_output_of_user_code_is_not_a_result(tmp_path):
     own = tmp_path / "own.py"
     own.write_text(effect(before=PRINTS), encoding="utf-8")
     model = model_of(tmp_path, '<mass value="2"/>')
@@ -321,7 +321,7 @@ MJCF = """<mujoco model="m"><option density="{}"/><worldbody><body name="a">
 </worldbody></mujoco>"""
 
 
-def test_what_is_left_out_fails_the_check_and_is_told_first(tmp_path):
+def test_ignored_parts_fail_the_check_and_are_reported_first(tmp_path):
     path = tmp_path / "m.xml"
     band = '<tendon><fixed name="p" stiffness="50" springlength=".1 .2"><joint joint="j" coef="1"/>'
     text = MJCF.format(0).replace("</mujoco>", f"{band}</fixed></tendon></mujoco>")
@@ -339,7 +339,7 @@ def test_what_is_left_out_fails_the_check_and_is_told_first(tmp_path):
 
 
 @pytest.mark.parametrize(("name", "program"), [("m.xml", "MuJoCo"), ("two.urdf", "Pinocchio")])
-def test_a_program_that_reads_the_file_itself_agrees(tmp_path, monkeypatch, name, program):
+def test_another_reader_of_the_file_agrees(tmp_path, monkeypatch, name, program):
     model_of(tmp_path, '<mass value="2"/>')
     (tmp_path / "m.xml").write_text(MJCF.format(0), encoding="utf-8")
     done, _ = checked(tmp_path / name)

@@ -80,7 +80,7 @@ def test_a_second_host_is_refused(server):
         assert client.recv(100).startswith(b"HTTP/1.0 403")
 
 
-def test_heads_have_no_body(server):
+def test_head_requests_get_no_body(server):
     answer, body = asked(server, "HEAD")
     assert (answer.status, body) == (200, b"")
     assert answer.headers["Content-Length"] == str(len(server.page))
@@ -88,13 +88,13 @@ def test_heads_have_no_body(server):
     assert asked(server, "POST")[0].status == 501
 
 
-def test_a_client_that_says_nothing_is_hung_up_on(server, monkeypatch):
+def test_a_silent_client_is_disconnected(server, monkeypatch):
     monkeypatch.setattr(play._PageHandler, "timeout", 0.1)
     with connected(server) as client:
         assert client.recv(1) == b""
 
 
-def test_a_client_that_leaves_is_no_news(server, capfd):
+def test_a_client_that_disconnects_is_not_reported(server, capfd):
     server.page = bytes(20_000_000)
     with connected(server) as client:
         client.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
@@ -104,7 +104,7 @@ def test_a_client_that_leaves_is_no_news(server, capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_a_mistake_of_its_own_is_told(server, capfd, monkeypatch):
+def test_errors_of_the_server_are_reported(server, capfd, monkeypatch):
     monkeypatch.setattr(play._PageHandler, "do_GET", lambda handler: 1 / 0)
     with pytest.raises(http.client.RemoteDisconnected):
         asked(server)

@@ -383,7 +383,7 @@ class TestRunScenario:
             (("--json", "/dev/null/x/table.json"), "no folder /dev/null/x"),
         ],
     )
-    def test_what_cannot_be_run_is_one_line(self, arguments, message, capsys):
+    def test_errors_of_scenarios_are_one_line(self, arguments, message, capsys):
         with pytest.raises(SystemExit) as ended:
             call("run_scenario", *arguments)
         assert ended.value.code == 2

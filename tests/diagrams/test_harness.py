@@ -12,13 +12,13 @@ from diagrams.harness import run_draws, script_parser, write
 
 
 @pytest.mark.parametrize("wrong", [["--seed", "-1"], ["--jobs", "0"], ["--jobs", "two"]])
-def test_numbers_that_make_no_sense_are_told_of(wrong, capsys):
+def test_invalid_numbers_are_refused(wrong, capsys):
     with pytest.raises(SystemExit):
         script_parser("A study.", draws=True).parse_args(wrong)
     assert wrong[0] in capsys.readouterr().err
 
 
-def test_draws_of_two_processes_are_kept_and_not_done_again(tmp_path):
+def test_draws_of_two_processes_are_cached(tmp_path):
     parser = script_parser("A study.", draws=True)
     table = tmp_path / "new" / "table.json"
     options = parser.parse_args(["--quick", "--jobs", "2", "--json", str(table)])

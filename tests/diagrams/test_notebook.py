@@ -82,7 +82,7 @@ def test_a_log_is_explained_and_the_model_kept(names_after, explain_once):
     assert names["again"].errors.nrms < 0.02 * names["before"].errors.nrms
 
 
-def test_an_effect_of_ones_own_is_what_was_hidden(names_after, explain_once):
+def test_a_user_effect_explains_the_log(names_after, explain_once):
     found = names_after("an_effect_of_your_own")["found"]
     assert [step.effect for step in found.steps] == ["spring_over_two_joints"]
     (values,) = found.steps[0].parameters.values()
@@ -111,7 +111,7 @@ def test_an_adaptive_loop_stays_physical(names_after):
     names["page"].unlink()
 
 
-def test_the_fitted_model_falls_otherwise_than_its_file(names_after, explain_once):
+def test_the_fitted_model_falls_differently_from_its_file(names_after, explain_once):
     names = names_after("fitted_model_in_simulation")
     assert len(names["fitted"].effects) == 5
     assert abs(names["by_file"][-1, 2] - names["by_fit"][-1, 2]) > 0.1

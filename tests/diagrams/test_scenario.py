@@ -146,7 +146,7 @@ directives:
     assert np.abs(error).max() < 2e-3  # where gravity is counted twice, it is 0.05 rad
 
 
-def test_before_a_status_nothing_is_known_and_no_effort_acts():
+def test_before_a_status_the_state_is_unknown_and_efforts_are_zero():
     reader, writer = StatusReader(2), CommandWriter(2, load_model(PENDULUM).plant)
     context = reader.CreateDefaultContext()
     reader.get_input_port().FixValue(context, lcmt_iiwa_status())
@@ -159,7 +159,7 @@ def test_before_a_status_nothing_is_known_and_no_effort_acts():
     assert lcmt_iiwa_command.decode(sent.encode()).joint_torque == (0.0, 0.0)
 
 
-def test_a_robot_elsewhere_that_is_silent_ends_the_wait():
+def test_waiting_for_a_silent_robot_ends():
     scenario = load_scenario(WORKCELL, "controller")
     scenario.lcm_buses["default"].lcm_url = "memq://"
     scenario.robots["arm"].messages.patience = 0.01
@@ -183,7 +183,7 @@ def test_a_robot_elsewhere_that_is_silent_ends_the_wait():
         ("swing:", "swing: {", "cannot read"),
     ],
 )
-def test_what_is_wrong_in_a_file_is_one_clear_line(small, old, new, message):
+def test_errors_in_a_scenario_are_one_line(small, old, new, message):
     text = small.read_text()
     assert old in text
     small.write_text(text.replace(old, new, 1))

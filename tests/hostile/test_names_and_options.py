@@ -57,7 +57,7 @@ def test_logs(command, what, tmp_path):
     assert not (tmp_path / "PWNED").exists()
 
 
-def test_a_log_whose_name_no_digest_can_hold_is_refused_and_others_are_digested(tmp_path):
+def test_a_log_with_an_invalid_name_is_refused_and_others_are_digested(tmp_path):
     for name in ("a\udcffb", "good"):
         write_log(tmp_path / f"{name}.csv", table())
     (tmp_path / "robot.urdf").write_text(PENDULUM.read_text(encoding="utf-8"), encoding="utf-8")
@@ -124,7 +124,7 @@ def test_joints_and_links(what, command, tmp_path):
     assert not (tmp_path / "PWNED").exists()
 
 
-def test_a_model_beside_a_path_that_yaml_cannot_hold_is_not_saved(tmp_path):
+def test_a_model_in_a_folder_with_an_invalid_name_is_not_saved(tmp_path):
     (folder := tmp_path / "a\udcffb").mkdir()
     command = "compare robot.urdf log.csv --save kept.yaml --json kept.json"
     Row("a folder that is not UTF-8", command, ("not UTF-8",)).check(folder)

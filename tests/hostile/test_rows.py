@@ -39,7 +39,7 @@ def test_efforts_in_other_units_are_simulated(tmp_path, monkeypatch):
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root reads everything")
-def test_what_must_not_be_read(tmp_path):
+def test_unreadable_files_are_refused(tmp_path):
     make = {"x.csv": lambda path: path.touch(0)}
     Row("file", "compare robot.urdf x.csv", ("Permission denied",), make).check(tmp_path)
 
@@ -48,7 +48,9 @@ def test_what_must_not_be_read(tmp_path):
     ("name", "content", "much"),
     [("x.npz", npz(), "12000 numbers"), ("x.csv", BODY, "of 5 numbers")],
 )
-def test_more_than_memory_is_refused_before_it_is_read(tmp_path, monkeypatch, name, content, much):
+def test_files_larger_than_memory_are_refused_before_reading(
+    tmp_path, monkeypatch, name, content, much
+):
     monkeypatch.setattr(table, "machine_memory", lambda: 100_000)
     put(tmp_path, {name: content})
     with pytest.raises(LogError, match=rf"{much}, which need 9\.6.*; this machine has 0\.0001 GB"):
@@ -71,7 +73,7 @@ VALUES = (
 
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("attribute", ATTRIBUTES)
-def test_attributes_that_no_effect_has(attribute, tmp_path):
+def test_invalid_attributes_of_effects_are_refused(attribute, tmp_path):
     refused = 0
     for value in VALUES:
         path = tmp_path / "own.py"

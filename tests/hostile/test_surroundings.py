@@ -58,7 +58,7 @@ def test_settings(what, tmp_path):
     Row(what, command, make=make, code=0, writes=files, environment=environment).check(tmp_path)
 
 
-def test_a_working_directory_that_is_gone(filled):
+def test_a_removed_working_directory(filled):
     leave = "import os\nos.mkdir('gone'); os.chdir('gone'); os.rmdir('../gone')"
     run = started(["compare", str(filled / "robot.urdf"), "log.csv"], leave)
     assert ended(run) == (
@@ -69,7 +69,7 @@ def test_a_working_directory_that_is_gone(filled):
     )
 
 
-def test_a_narrow_terminal_shows_no_name_raw(filled, monkeypatch):
+def test_a_narrow_terminal_shows_no_control_characters(filled, monkeypatch):
     """A terminal gets only the sequences of the progress bar and of bold letters."""
     log, blocks = "\x1b]0;owned\x07\x9bx.csv", []
     (filled / "log.csv").rename(log)
@@ -94,7 +94,7 @@ DISK = OSError(errno.EIO, "Input/output error")
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize(("number", "error"), [*product((1, 2, 3), (DISK, KeyboardInterrupt()))])
-def test_where_one_file_cannot_be_renamed_none_is_new(filled, monkeypatch, number, error):
+def test_if_one_file_cannot_be_renamed_none_is_written(filled, monkeypatch, number, error):
     rename, numbers = whole_files._Part.rename, itertools.count(1)
 
     def failing(part):
@@ -115,7 +115,7 @@ def test_where_one_file_cannot_be_renamed_none_is_new(filled, monkeypatch, numbe
     ("name", "change", "says"),
     [("new.html", Path.mkdir, "is a folder"), ("robot.urdf", Path.unlink, "is missing")],
 )
-def test_what_changes_during_the_work_is_noticed_before_files_are_written(
+def test_changes_during_the_work_are_noticed_before_files_are_written(
     name, change, says, filled, monkeypatch
 ):
     to_json = command.to_json
@@ -151,7 +151,7 @@ def test_permissions_stay_and_links_are_written_through(filled):
     assert sorted(p.name for p in (filled / "there").iterdir()) == ["later.html", "real.json"]
 
 
-def test_left_overs_of_killed_runs_are_removed_and_nothing_else(filled):
+def test_only_remains_of_killed_runs_are_removed(filled):
     ours = [".kept.json.123.part", ".kept.json.99999999.part"]
     theirs = [".kept.json.part", ".kept.json.x1.part", ".kept.jsonl.1.part", "kept.json.1.part"]
     theirs += [".kept.json.5.part.json", ".kept.yaml.77.part"]
@@ -165,7 +165,7 @@ def test_left_overs_of_killed_runs_are_removed_and_nothing_else(filled):
     assert left == sorted([*theirs, ".kept.json.456.part"])
 
 
-def test_a_file_that_there_is_no_room_for_leaves_what_was_there(filled):
+def test_a_full_disk_leaves_files_as_they_were(filled):
     before = contents(filled)
 
     def begin():
@@ -245,7 +245,7 @@ def others(before):
 
 @pytest.mark.sampled(6)
 @pytest.mark.parametrize(("seconds", "number"), [*product((1.5, 0.4), SIGNALS)])
-def test_a_signal_at_any_time_leaves_a_word_alone(number, seconds, filled):
+def test_a_signal_at_any_time_prints_one_line(number, seconds, filled):
     before = contents(filled)
     run = started([*EXPLAIN, *ALL])
     worked(run, seconds)
@@ -319,7 +319,7 @@ def test_a_signal_while_files_are_written_leaves_none_of_them(filled):
     assert not others(before)
 
 
-def test_an_interrupt_that_nothing_can_raise_comes_again(filled):
+def test_an_interrupt_in_a_destructor_is_repeated(filled):
     class Gone:
         def __del__(self):
             kill_self(INT)

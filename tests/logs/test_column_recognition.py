@@ -98,7 +98,7 @@ def test_units_in_names(unit):
         assert (found.name, found.factor) == (unit, pytest.approx(factor))
 
 
-def test_columns_called_as_joints_are_positions_but_those_of_accelerations():
+def test_columns_named_like_joints_are_positions():
     names = ["joint1", "actual_axis_2", "elbow", "a1", "box1"]
     assert [m.column for m in as_positions(names, ["elbow"])] == names[:3]
 

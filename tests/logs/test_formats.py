@@ -43,7 +43,7 @@ def test_every_format_keeps_every_number(tmp_path, log, write):
         assert np.allclose(getattr(read, quantity), getattr(log, quantity), rtol=0, atol=1e-8)
 
 
-def test_messages_with_one_for_each_motor(tmp_path, log):
+def test_messages_with_states_of_motors(tmp_path, log):
     """Messages of a robot have room for more motors; the first temperature of each is read."""
     spare = foreign_logs.motor_states(tmp_path, log, spare=3)
     read = read_log(spare, joints=JOINTS)
@@ -159,7 +159,7 @@ def test_frames_with_a_column_twice_or_of_text(log):
 
 
 @pytest.mark.parametrize("frame", [3, "text", [1, 2], None])
-def test_what_is_no_frame(frame):
+def test_objects_that_are_no_frames(frame):
     with pytest.raises(ArgumentError, match="named columns"):
         log_of_frame(frame)
 
@@ -213,7 +213,7 @@ def test_messages_of_some_joints_each_are_put_together(tmp_path, log):
     assert "joined by time at 100 Hz, the rate of shoulder" in " ".join(read.notes)
 
 
-def test_a_joint_that_is_told_of_rarely_is_left_out_unless_it_is_needed(tmp_path, log):
+def test_rarely_published_joints_are_omitted_unless_needed(tmp_path, log):
     parts = [one_joint(log, "shoulder"), one_joint(log, "elbow", slice(None, None, 20))]
     path = bag_of_parts(tmp_path, log, parts)
     slow = "elbow has 5 Hz, but other columns up to 100 Hz: elbow."
@@ -281,7 +281,7 @@ def test_efforts_of_a_controller_are_its_output_if_none_are_measured(tmp_path, l
 
 
 @pytest.mark.parametrize("points", [("reference", "feedback"), ("desired", "actual", "error")])
-def test_what_a_controller_asked_for_where_nobody_measures_efforts(tmp_path, log, points):
+def test_controller_commands_replace_unmeasured_efforts(tmp_path, log, points):
     told = replace(log, command=log.position + 0.01 * log.effort)
     read = read_log(foreign_logs.controller_state(tmp_path, told, points=points), joints=JOINTS)
     assert np.array_equal(read.command, told.command)
@@ -372,7 +372,7 @@ def test_commands_of_a_controller_without_names_or_stamps(tmp_path, sent):
     assert f"messages of {TOLD} have no stamps" in said(read)
 
 
-def test_receipt_is_put_on_the_clock_of_a_simulation(tmp_path, sent):
+def test_times_of_receipt_are_converted_to_a_simulation_clock(tmp_path, sent):
     """Its clock has half the speed, and began at 3 s."""
     stamped = states(sent, stamp=lambda ns: 3_000_000_000 + (ns - EPOCH) // 2)
     read = read_log(bag(tmp_path, joint_states=stamped, arm__commands=numbers(sent)), joints=JOINTS)

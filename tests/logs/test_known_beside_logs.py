@@ -74,13 +74,13 @@ def clean(weight, name=ARM):
 
 
 class TestGainTold:
-    def test_not_by_what_all_logs_have(self):
+    def test_payloads_of_all_logs_do_not_identify_gains(self):
         held = [two_logs(seed, [0.0, 0.08], weight=LIGHT, name=PENDULUM)[1] for seed in (9, 10)]
         case = open_case(model_file(PENDULUM), held, candidates=True)
         assert not any(effect.name == "effort_scale" for effect in case.dataset.effects)
         assert any("known payloads do not identify effort gains" in note for note in case.notes)
 
-    def test_only_at_joints_that_bear_it(self):
+    def test_gains_are_known_at_joints_that_bear_the_payload(self):
         model, weight = model_file(), KnownPayload("forearm", 1.0)
         assert joints_with_known_gain(model, [(), (weight,)]) == model.joints[:3]
         assert joints_with_known_gain(model, [(weight,), (weight, WEIGHT)]) == model.joints
@@ -195,7 +195,7 @@ def mine(folder, **values):
     return motor_named("mine", known_motors(path))
 
 
-def test_a_data_sheet_tells_what_a_log_does_not(tmp_path):
+def test_a_data_sheet_adds_to_a_log(tmp_path):
     """A slow swing by a few degrees hardly depends on stiffness or armature."""
     (tmp_path / "pendulum.urdf").write_text(servo_logs.PENDULUM)
     pendulum, time = load_model(tmp_path / "pendulum.urdf"), np.arange(0.0, 16.0, PERIOD)

@@ -119,7 +119,7 @@ ODD = (knocked, in_steps, paused, saturated, switched_off, with_a_gap, spinning,
 
 
 @pytest.mark.parametrize("happen", [*ODD, pushed, flickering])
-def test_what_robots_and_drives_do_is_no_fault(happen):
+def test_normal_behaviour_is_no_fault(happen):
     log = happen(swing())
     assert without_faults(log) is log
 
@@ -313,7 +313,7 @@ def test_positions_beyond_limits_have_a_likely_cause(first, low, high, words):
 
 
 @pytest.mark.parametrize("scale", [1e4, 250.0])
-def test_whole_numbers_far_from_zero_are_refused_before_anything_is_made_of_them(scale):
+def test_large_integer_positions_are_refused_early(scale):
     ticks = np.rint(scale * log(WITHIN).position)
     raw = replace(log(WITHIN), position=ticks)
     with pytest.raises(LogError, match=r"no joint reaches in rad or m\. .*mm .*rev/4096@2048"):
@@ -335,7 +335,7 @@ def test_units_of_positions_and_efforts():
 
 
 @pytest.mark.parametrize("kinds", [{}, {"a": "current", "b": "current"}])
-def test_efforts_without_their_sign_are_said(kinds):
+def test_efforts_without_sign_are_reported(kinds):
     waves = np.sin(0.01 * np.arange(200)[:, None] * np.array([11.0, 13.0]))
 
     def hint(efforts):

@@ -311,12 +311,12 @@ def spoiled_lcm(path, spoil):
         ({"utime": 2**62}, "Message 1 of IIWA_STATUS has the stamp .* which is impossible"),
     ],
 )
-def test_messages_of_lcm_that_are_none(tmp_path, spoil, words):
+def test_invalid_messages_of_lcm(tmp_path, spoil, words):
     with pytest.raises(LogError, match=words):
         read_log(spoiled_lcm(tmp_path / "torn.lcm", spoil))
 
 
-def test_messages_of_lcm_that_end_behind_the_file(tmp_path):
+def test_truncated_messages_at_the_end_of_lcm_logs(tmp_path):
     path = spoiled_lcm(tmp_path / "large.lcm", {})
     whole = path.read_bytes()
     for rest in (struct.pack(">IQQII", 0xEDA1DA01, 60, 0, 1, 2 * 10**9) + b"Xdata", whole[:99]):
@@ -329,7 +329,7 @@ def test_messages_of_lcm_that_end_behind_the_file(tmp_path):
     [[10**400] * 60, [1j] * 60, [object()] * 60, ["1_0"] * 60],
     ids=["beyond floats", "complex", "objects", "words"],
 )
-def test_objects_that_are_no_numbers_are_not_missing_ones(effort):
+def test_objects_other_than_numbers_are_refused(effort):
     with pytest.raises(LogError, match=r"a\.effort.* (has no numbers|neither a number)"):
         log_of_frame({**columns(60), "a.effort": np.array(effort, object)})
 
@@ -411,7 +411,7 @@ def test_times_of_any_length_are_inspected_or_refused(pendulum, tmp_path, factor
         assert not inspect_log(path).rests
 
 
-def test_limits_that_are_next_to_nothing_say_nothing_of_units(pendulum):
+def test_tiny_limits_give_no_hint_at_units(pendulum):
     assert effort_unit_hint(pendulum, 1e-308) is None
     strong = replace(pendulum, effort=np.full_like(pendulum.effort, 1e308))
     assert "other units" in effort_unit_hint(strong, 1e-8)

@@ -126,7 +126,7 @@ GARBAGE = {
 
 
 @pytest.mark.parametrize("kind", GARBAGE)
-def test_torn_rows_are_named_and_left_out_if_asked(tmp_path, kind):
+def test_corrupt_rows_are_named_and_skipped_on_request(tmp_path, kind):
     torn, numbers = GARBAGE[kind]
     whole = {k: f"{0.01 * k:.2f},{np.sin(0.1 * k)},{k % 7}" for k in range(1000)}
     path = tmp_path / "log.csv"
@@ -139,7 +139,7 @@ def test_torn_rows_are_named_and_left_out_if_asked(tmp_path, kind):
     assert np.all(np.diff(log.time) > 0)
 
 
-def test_more_than_one_per_cent_is_not_left_out(tmp_path):
+def test_at_most_one_per_cent_of_rows_is_skipped(tmp_path):
     rows = [f"{0.01 * k:.2f},{k},{k}" if k % 50 else "x,y,z" for k in range(1000)]
     path = tmp_path / "log.csv"
     path.write_text("\n".join(["time,a.position,a.effort", *rows]))
@@ -210,7 +210,7 @@ BAD_MAPPINGS = {
 
 
 @pytest.mark.parametrize("words", BAD_MAPPINGS)
-def test_mappings_that_cannot_be(tmp_path, words):
+def test_invalid_mappings(tmp_path, words):
     (tmp_path / "m.yaml").write_text(MAPPING.replace(*BAD_MAPPINGS[words]))
     with pytest.raises(LogError, match=words):
         read_mapping(tmp_path / "m.yaml")
@@ -264,7 +264,7 @@ ORDERS = {
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 @pytest.mark.parametrize("kind", ORDERS)
-def test_day_and_month_are_told_once_for_a_column(tmp_path, monkeypatch, kind, suffix):
+def test_the_order_of_day_and_month_is_that_of_the_column(tmp_path, monkeypatch, kind, suffix):
     """The row that shows the order may follow rows that have both."""
     monkeypatch.setattr("geodrake.logs.files.text_file._LINES_AHEAD", 10)
     start, form, first, why = ORDERS[kind]
@@ -281,7 +281,7 @@ def test_day_and_month_are_told_once_for_a_column(tmp_path, monkeypatch, kind, s
     assert ("day/month" in note) == (form == "%d/%m/%Y" and kind != "one day")
 
 
-def test_dates_elsewhere_say_nothing_of_the_order_in_a_column(tmp_path):
+def test_the_order_of_day_and_month_ignores_other_dates(tmp_path):
     """Neither those of a comment nor those of another column."""
     rows = (f"05/06/2026 00:00:{k:02d},{0.1 * k},{k % 3},14/03/2026 10:00" for k in range(20))
     head = ("# exported 15/05/2026 10:00", "time,a.position,a.effort,calibrated")
@@ -453,7 +453,7 @@ def test_positions_of_two_robots_with_efforts_of_one_are_asked_about(read_table)
     check(read_table(columns, PANDA, topic="slave"), PANDA, q, None, tau)
 
 
-def test_one_name_that_fits_by_chance_is_not_the_only_joint(read_table):
+def test_one_name_that_matches_by_chance_is_not_enough(read_table):
     time, q, _, tau = motion(IIWA[:4])
     names = ["time", *(f"{what}_{letter}" for what in ("q", "tau") for letter in "ABCD")]
     with pytest.raises(LogError, match="of which the model has none"):
@@ -492,7 +492,7 @@ def test_a_list_of_one_number_is_its_item_in_a_mapping(tmp_path):
 
 
 @pytest.mark.parametrize("words", [("moving", "idle"), ("2", "5"), ("ur5", "ur5")])
-def test_a_robot_that_moves_on_is_one(read_table, words):
+def test_rows_of_a_robot_that_moves_continuously(read_table, words):
     time, q, _, tau = motion(("a", "b"))
     state = np.array(words)[np.arange(ROWS) // 30 % 2]
     columns = named(["time", "q1", "q2", "tau1", "tau2"], time, q, tau)
@@ -705,7 +705,7 @@ def test_units_that_are_not_known_are_asked_for(read_table, unit):
 
 
 @pytest.mark.parametrize("moves", [True, False])
-def test_stamps_in_milliseconds_are_told_by_the_motion(read_table, moves):
+def test_stamps_in_milliseconds_are_recognized_by_the_motion(read_table, moves):
     time, q, v, tau = motion(PANDA, rate=1000.0)
     names = ["time", *(f"{kind}{k}" for kind in ("q", "tau", "dq")[: 2 + moves] for k in range(7))]
     log = read_table(named(names, np.rint(1e3 * time), *[q, tau, v][: 2 + moves]))
@@ -716,7 +716,7 @@ def test_stamps_in_milliseconds_are_told_by_the_motion(read_table, moves):
     np.testing.assert_allclose(log.time, slow)
 
 
-def test_targets_that_are_called_as_torques_may_be(read_table):
+def test_ambiguous_names_of_targets_and_torques(read_table):
     time, q, _, tau = motion(PANDA)
     names = ["time", *indexed("q", 7), *indexed("tq", 7)]
     log = read_table(named(names, time, q, tau))

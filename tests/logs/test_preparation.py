@@ -282,11 +282,11 @@ def test_velocities_tell_the_clock(clock):
 
 
 @pytest.mark.parametrize("factors", [0.0, -1.0, 1e-3, 1e4, [1.0, -1.0, 0.0], [1.0, 20.0, 90.0]])
-def test_what_no_clock_does_tells_none(factors):
+def test_inconsistent_velocities_give_no_clock(factors):
     assert np.isnan(second(factors))
 
 
-def test_velocities_that_are_far_too_small_cost_nothing():
+def test_tiny_velocities_cause_no_error():
     q, v = np.sin(CLOCK_RATES[:2] * SHORT[:, None]), np.cos(CLOCK_RATES[:2] * SHORT[:, None])
     log = JointLog("log", JOINTS, SHORT, q, 5.0 * q, velocity=2e-3 * v)
     assert all(found.kind for found in check_columns(load_model(PENDULUM), [log]))
@@ -375,7 +375,7 @@ def test_signals_are_shifted_before_or_after_the_filter_alike(low_pass):
     np.testing.assert_allclose(found, low_pass.apply(moved), atol=1e-9)
 
 
-def test_what_no_filter_can_have():
+def test_invalid_filters():
     for bandwidth in (0.0, -1.0, 126.0, np.nan):
         with pytest.raises(ArgumentError, match="500 Hz"):
             design_filter(PERIOD, bandwidth)
@@ -466,7 +466,7 @@ def test_slices_are_those_of_the_whole(monkeypatch, velocity):
     assert len(stretch[5:5]) == 0
 
 
-def test_what_is_kept_of_a_short_log_cannot_be_written_to():
+def test_cached_signals_are_read_only():
     (stretch,) = prepare_logs([long_log(3000)], bandwidth=6.0)[0].segments
     part = stretch[5:50]
     signals = (part.time, part.position, part.velocity, part.acceleration, part.effort)

@@ -113,7 +113,7 @@ def test_efforts_win_over_currents_and_these_over_voltages_and_duty_cycles():
         every.pop(next(iter(every)))
 
 
-def test_commands_beside_efforts_only_where_they_are_meant():
+def test_commands_are_used_beside_efforts_only_on_request():
     told = frame(q_J=Q, tau_J=S, target_q_J=C)
     log = log_of_frame(told, joints=JOINTS)
     assert log.command is None and "target_q_0" in said(log)
@@ -134,7 +134,7 @@ def test_commands_beside_efforts_only_where_they_are_meant():
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".npz"])
-def test_empty_efforts_give_way(tmp_path, suffix):
+def test_empty_efforts_are_replaced(tmp_path, suffix):
     nothing = np.full_like(S, np.nan)
     for columns in (
         frame(q_J=Q, effort_J=nothing, target_q_J=C),
@@ -150,7 +150,7 @@ def test_empty_efforts_give_way(tmp_path, suffix):
     assert set(log.effort_kinds.values()) == {"current"}
 
 
-def test_the_voltage_of_a_supply_is_none_of_a_motor():
+def test_supply_voltages_are_not_efforts():
     supply = 12.0 + 0.1 * S
     log = log_of_frame(frame(q_J=Q, voltage_J=supply, action_J=C), joints=JOINTS)
     assert not log.effort_kinds
@@ -186,7 +186,7 @@ def test_commands_are_in_the_unit_of_positions_unless_they_say_another():
         assert np.allclose(log_of_frame(columns, reading=Reading(units=units)).command, C)
 
 
-def test_known_gains_make_efforts_and_say_how_well():
+def test_known_gains_give_efforts_with_uncertainty():
     columns = frame(q_J=Q, current_J=S)
     reading = Reading(gains={"shoulder": 4.0, "elbow": -2.0}, gain_deviations={"elbow": 0.5})
     log = log_of_frame(columns, joints=JOINTS, reading=reading)
@@ -210,7 +210,7 @@ def test_gains_with_deviations():
 
 
 @pytest.mark.parametrize("kinds", [{"": "current"}, dict.fromkeys(JOINTS, "current")])
-def test_what_efforts_are_said_to_be(kinds):
+def test_kinds_of_efforts_by_option(kinds):
     log = log_of_frame(own(position=Q, effort=S), reading=Reading(kinds=kinds))
     assert log.effort_kinds == dict.fromkeys(JOINTS, "current")
     assert np.array_equal(log.effort, S)
@@ -238,7 +238,7 @@ CONTRADICTIONS = {
 
 
 @pytest.mark.parametrize("words", CONTRADICTIONS)
-def test_what_contradicts_itself(words):
+def test_contradictions_are_refused(words):
     columns, reading = CONTRADICTIONS[words]
     joints = None if any("." in name for name in columns) else JOINTS
     with pytest.raises(LogError, match=words) as caught:
@@ -263,12 +263,12 @@ def test_what_contradicts_itself(words):
         ({"columns": "time"}, "columns must be a tuple"),
     ],
 )
-def test_readings_that_cannot_be(options, words):
+def test_invalid_readings(options, words):
     with pytest.raises(ArgumentError, match=words):
         Reading(**options)
 
 
-def test_commands_that_say_nothing():
+def test_useless_commands_are_refused():
     nothing = np.full_like(Q, np.nan)
 
     def log(command):
@@ -287,7 +287,7 @@ def test_commands_that_say_nothing():
             check_commands(log(other))
 
 
-def test_velocities_that_are_none_are_left_out(read_table):
+def test_velocities_unrelated_to_positions_are_not_used(read_table):
     log = read_table(frame(q_J=Q, v_J=0.0 * Q, effort_J=S), JOINTS)
     assert log.velocity is None
     assert "velocity is not used, as it is unrelated to positions" in log.notes
@@ -366,7 +366,7 @@ def test_efforts_that_are_saturated():
     check_saturation(log(np.full_like(S, np.nan)))
 
 
-def test_messages_stay_good_where_there_is_neither():
+def test_messages_on_joints_without_efforts_and_commands():
     nothing = np.full_like(Q, np.nan)
     with pytest.raises(LogError, match="none has effort of shoulder"):
         make_uniform(JointLog("x", JOINTS, TIME, Q, nothing))
@@ -441,7 +441,7 @@ def test_the_zero_of_ticks_is_where_the_model_has_its_limits(read_table):
         assert ("tick 0, as the model's limits suggest" in said(log)) == (zero > 0.0)
 
 
-def test_a_mapping_of_ticks_says_their_zero(tmp_path):
+def test_a_mapping_of_ticks_states_their_zero(tmp_path):
     """The gain of a joint that is reversed applies to angles, not to ticks."""
     path = saved(tmp_path / "log.csv", frame(q_J=TICKS, effort_J=S))
     found = inspect_log(path, joints=JOINTS)
@@ -498,7 +498,7 @@ UNITS = {
 
 
 @pytest.mark.parametrize("kind", UNITS)
-def test_units_that_nobody_says_are_converted_where_values_are_certain(read_table, kind):
+def test_unstated_units_are_converted_where_values_are_certain(read_table, kind):
     told, angle, speed = UNITS[kind]
     columns, given = frame(**told, effort_J=S), next(iter(told.values()))
     units = {"position": "rad"} if "asked" in kind else {}
@@ -543,7 +543,7 @@ def test_degrees_of_fahrenheit_are_read(unit):
 
 
 @pytest.mark.parametrize("numbered", [False, True])
-def test_slow_ones_and_time_may_be_named_by_a_mapping_alone(tmp_path, numbered):
+def test_a_mapping_names_slow_temperatures_and_time(tmp_path, numbered):
     """Temperatures are in a file of their own, one a second, beside motions at 100 Hz."""
     slow = {"noise": 0.0 * CLOCK, "drive 7": WARMTH[:, 0], "drive 8": WARMTH[:, 1]}
     quick = log_with(None).columns()
@@ -591,12 +591,12 @@ def test_a_prepared_log_says_which_sensors_fail():
         assert any("sensor" in note for note in notes) == fails
 
 
-def test_columns_of_swapped_joints_take_theirs_along():
+def test_temperatures_are_swapped_with_their_joints():
     swap = ColumnFinding("swapped_joints", JOINTS, (), 50.0, 0.99, (), 1.0, 0.1, "swapped", "")
     np.testing.assert_array_equal(corrected(log_with(WARMTH), [swap]).temperature, WARMTH[:, ::-1])
 
 
-def test_a_prepared_log_knows_them_by_time_stamp():
+def test_a_prepared_log_has_temperatures_by_time():
     log = replace(log_with(WARMTH), time=CLOCK + 100.0)
     found = prepare_logs([log], bandwidth=5.0)[0].temperature(np.array([105.0, 110.0]))
     np.testing.assert_allclose(found, [[35.0, 42.5], [40.0, 40.0]], atol=0.05)

@@ -588,7 +588,7 @@ def test_states_of_a_cart_with_a_pole_are_of_its_joints(read_table, names):
     np.testing.assert_allclose(log.effort[:, 0], EFFORT[:, 0], atol=1e-12)
 
 
-def test_a_last_row_that_is_cut_off_is_left_out(tmp_path):
+def test_a_truncated_last_row_is_skipped(tmp_path):
     frame = pandas.concat([PLAIN] * 3).assign(time=0.01 * np.arange(3 * ROWS))
     records = "\n".join(map(json.dumps, LIST_RECORDS))
     for name, content, rows, words in (
@@ -633,7 +633,7 @@ def test_messages_of_several_topics_and_publishers_in_one_file(tmp_path):
 
 
 @pytest.mark.parametrize("many", [False, True])
-def test_words_for_nothing(read_table, monkeypatch, many):
+def test_words_for_missing_values(read_table, monkeypatch, many):
     monkeypatch.setattr(text_file, "_MANY", 20 if many else 10**6)
     effort = EFFORT.copy()
     effort[0, 0] = effort[30, 1] = np.nan
@@ -659,7 +659,7 @@ def test_rows_of_a_joint_may_have_stamps_of_their_own(read_table):
     [("long.csv", f"{TIME[3]},elbow,", f"{TIME[3]},,", 8),
      ("cells.csv", "base,elbow", "base,", 1)],
 )  # fmt: skip
-def test_cells_without_a_name_are_said(tmp_path, name, old, new, row):
+def test_cells_without_a_name_are_refused(tmp_path, name, old, new, row):
     path = written(tmp_path, name)
     path.write_text(path.read_text().replace(old, new, 1))
     with pytest.raises(LogError, match=rf"Row {row} .* has no joint name in column '"):
@@ -685,7 +685,7 @@ def test_lists_that_are_missing_in_some_rows(tmp_path, kind):
     np.testing.assert_array_equal(np.delete(log.effort, 5, 0), np.delete(EFFORT, 5, 0))
 
 
-def test_joints_that_the_model_lacks_are_left_out_and_named(read_table):
+def test_joints_that_the_model_lacks_are_ignored_and_named(read_table):
     columns = PLAIN.assign(**{f"gripper.{q}": PLAIN[f"base.{q}"] for q in ("position", "effort")})
     log = read_table(columns, JOINTS)
     assert log.joints == JOINTS
@@ -694,7 +694,7 @@ def test_joints_that_the_model_lacks_are_left_out_and_named(read_table):
         read_table(columns, ("base", "elbows", "gripper"), partial=True)
 
 
-def test_numbers_of_other_joints_than_the_model_has_are_told_and_drafted_in_order(read_table):
+def test_another_number_of_joints_is_refused_with_a_draft_mapping(read_table):
     each = (("q", POSITION), ("tau", EFFORT))
     own = {f"{name}{k}": x[:, k % 2] for k in range(3) for name, x in each}
     words = "has 3 joints by numbers, but the model has 2: base, elbow"
@@ -719,7 +719,7 @@ def test_a_clock_that_was_set_back_leaves_a_gap(read_table):
 
 
 @pytest.mark.parametrize(("bits", "unit", "times"), [(16, "ms", 1), (32, "us", 1), (16, "us", 9)])
-def test_a_counter_of_time_that_begins_anew_goes_on(read_table, bits, unit, times):
+def test_overflowing_time_counters_continue(read_table, bits, unit, times):
     end, time = 2.0**bits, np.arange(1000 * times) * 1e-3 * (0.59 if times > 1 else 10.0)
     stamps = np.mod(end - 5000 + np.rint(time / {"ms": 1e-3, "us": 1e-6}[unit]), end)
     log = read_table(joint_a(stamps, np.sin(time), np.cos(time), f"t_{unit}"))
@@ -728,7 +728,7 @@ def test_a_counter_of_time_that_begins_anew_goes_on(read_table, bits, unit, time
 
 
 @pytest.mark.parametrize("form", ["%H%M%S.%f", "%H%M%S%f"])
-def test_digits_of_a_clock_are_no_seconds(read_table, form):
+def test_digits_of_a_clock_are_not_seconds(read_table, form):
     time = 0.02 * np.arange(400)
     moments = pandas.Timestamp("2026-05-01 09:59:55") + pandas.to_timedelta(time, unit="s")
     stamps = [float(text[: len(text) - 3]) for text in moments.strftime(form)]
@@ -759,7 +759,7 @@ def test_rows_that_were_stamped_on_arrival(read_table, together, apart, lost):
     assert np.abs(late[100:-100] - np.median(late)).max() < (0.02 if lost else 0.002)
 
 
-def test_a_joint_without_a_number_says_nothing_of_the_order_of_rows(read_table):
+def test_a_joint_without_values_does_not_decide_the_order_of_rows(read_table):
     """Nor does it hide what other joints say, or raise a warning of NumPy's."""
     time = 0.01 * np.arange(3000)
     empty = {"b.position": np.full_like(time, np.nan), "b.effort": time}
@@ -862,13 +862,13 @@ def one_after_the_other(begins):
         ("a.npz", arrays(**PICKLED), "'joint_names', an array of Python objects"),
     ],
 )
-def test_files_that_are_none_of_their_kind(tmp_path, name, content, words):
+def test_invalid_files_and_tables(tmp_path, name, content, words):
     (content if callable(content) else text(content))(tmp_path / name)
     with pytest.raises(LogError, match=words):
         read_log(tmp_path / name)
 
 
-def test_rows_with_some_of_the_columns_are_brought_together(read_table):
+def test_rows_with_some_of_the_columns_are_merged(read_table):
     """Positions and efforts of two tables that an outer join made one."""
     early, late = np.arange(400) * 0.01, np.arange(200) * 0.02 + 0.003
     moved = pandas.DataFrame({"time": early, "a.position": np.sin(2.0 * early)})
@@ -921,7 +921,7 @@ def mapping_of(joints, time="time"):
     return ColumnMapping(columns, MappedColumn(time))
 
 
-def test_a_row_of_measurements_and_words_is_no_header(tmp_path):
+def test_a_row_of_numbers_and_words_is_not_a_header(tmp_path):
     PLAIN.assign(mode="auto").to_csv(tmp_path / "log.csv", index=False, header=False)
     with pytest.raises(LogError, match="has no header") as caught:
         read_log(tmp_path / "log.csv", joints=JOINTS)
@@ -931,7 +931,7 @@ def test_a_row_of_measurements_and_words_is_no_header(tmp_path):
     np.testing.assert_allclose(log.effort, EFFORT, atol=1e-12)
 
 
-def test_efforts_in_percent_are_no_newton_metres(read_table):
+def test_efforts_in_percent_are_duty_cycles(read_table):
     positions = {f"q{k}": POSITION[:, k] for k in (0, 1)}
     efforts = {f"Torque {k} (%)": 10.0 * EFFORT[:, k] for k in (0, 1)}
     log = read_table({"time": TIME, **positions, **efforts})
@@ -971,7 +971,7 @@ def test_marks_between_thousands(tmp_path, kind):
     assert "thousands separator in numbers such as" in " ".join(log.notes)
 
 
-def test_numbers_that_may_be_with_decimals_or_thousands_are_refused(tmp_path):
+def test_ambiguous_separators_of_numbers_are_refused(tmp_path):
     lines = ["t_ms;q_base;q_elbow;tau_base;tau_elbow"]
     lines += [f"{k};1.{k:03d};-2.{k:03d};3,{k:03d};1,{2 * k:03d}" for k in range(100, 160)]
     (tmp_path / "log.csv").write_text("\n".join(lines))
@@ -983,7 +983,7 @@ def test_numbers_that_may_be_with_decimals_or_thousands_are_refused(tmp_path):
     assert "without thousands separators" in error.value.advice
 
 
-def test_three_decimals_beside_whole_hundreds_are_no_thousands(tmp_path):
+def test_three_decimals_are_not_thousands(tmp_path):
     position = 130.0 + 0.125 * np.round(100.0 * POSITION)
     position[::2] = 130.0
     rows = zip(TIME, *position.T, *EFFORT.T, strict=True)
@@ -996,7 +996,7 @@ def test_three_decimals_beside_whole_hundreds_are_no_thousands(tmp_path):
     assert "thousands" not in " ".join(log.notes)
 
 
-def test_rows_of_a_joint_in_units_of_which_one_is_not_known(read_table):
+def test_columns_in_unknown_units_are_ignored(read_table):
     frame = pandas.DataFrame({"time_s": np.repeat(TIME, 2), "motor_id": [1, 2] * ROWS})
     frame = frame.assign(pos_deg=np.rad2deg(POSITION).ravel(), spd_erpm=1.0, cur_A=EFFORT.ravel())
     log = read_table(frame, JOINTS)
@@ -1008,7 +1008,7 @@ def test_rows_of_a_joint_in_units_of_which_one_is_not_known(read_table):
     assert any(said in note for note in log.notes)
 
 
-def test_stamps_of_whole_seconds_are_refused_with_what_to_do(read_table):
+def test_stamps_of_whole_seconds_are_refused_with_advice(read_table):
     whole = PLAIN.assign(time=np.floor(TIME))
     with pytest.raises(LogError, match="uniform, give their rate with --rate"):
         read_table(whole)
@@ -1016,7 +1016,7 @@ def test_stamps_of_whole_seconds_are_refused_with_what_to_do(read_table):
 
 
 @pytest.mark.parametrize("value", [-9999, 99999])
-def test_nines_far_from_all_others_are_no_measurements(read_table, value):
+def test_outlying_nines_are_missing_values(read_table, value):
     frame = PLAIN.copy()
     frame.loc[5:49:9, "base.effort"] = value
     log = read_table(frame, JOINTS)
@@ -1047,7 +1047,7 @@ def test_a_column_that_may_be_time_by_its_values_is_proposed(tmp_path, read_tabl
     assert "rises" not in str(error.value)
 
 
-def test_what_columns_of_words_hold_is_said_where_nothing_else_is_of_joints(read_table):
+def test_contents_of_text_columns_are_named_if_no_column_is_of_joints(read_table):
     cells = [json.dumps({"position": q}) for q in POSITION.tolist()]
     with pytest.raises(LogError, match=r"efforts: none; 'msg' holds '.\"position\": ") as error:
         read_table({"time": TIME, "msg": cells}, JOINTS)
@@ -1102,7 +1102,7 @@ def few_columns(monkeypatch):
         monkeypatch.setattr(f"geodrake.logs.files.{module}.MOST_COLUMNS", 50)
 
 
-def test_of_many_demonstrations_those_that_are_asked_for_are_read(tmp_path, few_columns):
+def test_only_requested_demonstrations_are_read(tmp_path, few_columns):
     """Objects of other episodes may be many, and damaged."""
     path = tmp_path / "demos.hdf5"
     with h5py.File(path, "w") as file:
@@ -1119,14 +1119,14 @@ def test_of_many_demonstrations_those_that_are_asked_for_are_read(tmp_path, few_
 
 
 @pytest.mark.parametrize("rows", [(2, 1, 2), (1, 1, 3)])
-def test_time_goes_on_behind_episodes_of_one_row(rows):
+def test_time_continues_after_episodes_of_one_row(rows):
     tables = [LogTable(Path("log"), {"time": 0.1 * np.arange(n)}) for n in rows]
     time = one_after_another(tables, Reading()).columns["time"]
     ends = np.cumsum(rows)[:-1] - 1
     assert (np.delete(np.diff(time), ends) < 0.2).all() and (np.diff(time)[ends] >= 1.0).all()
 
 
-def test_of_too_many_arrays_a_mapping_says_which_are_read(tmp_path, monkeypatch):
+def test_a_mapping_selects_among_too_many_arrays(tmp_path, monkeypatch):
     for module in ("array_files", "column_mapping"):
         monkeypatch.setattr(f"geodrake.logs.files.{module}.MOST_COLUMNS", 50)
     path = tmp_path / "many.hdf5"

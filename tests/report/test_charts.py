@@ -101,7 +101,7 @@ def test_a_chart_holds_what_was_measured_and_left():
     assert len(np.frombuffer(base64.b64decode(panel["time"]), "<f4")) == len(found)
 
 
-def test_residuals_are_over_what_they_may_depend_on():
+def test_residuals_are_drawn_over_the_motion():
     one = comparison(("elbow",), 1.0)
     (panel,) = residual_chart({BEFORE: one}, UNITS).panels
     assert [plot.axis for plot in panel.plots] == [
@@ -148,7 +148,7 @@ def test_steps_can_be_chosen_where_their_predictions_are_known():
     ]
 
 
-def test_errors_that_are_none_have_bars_of_nothing():
+def test_undefined_errors_have_empty_bars():
     for rms, text in ((np.nan, "–"), (np.inf, "–"), (0.0, "0")):
         joints = joint_names(2)
         then = dict(zip(joints, (rms, 0.1), strict=True))
@@ -158,7 +158,7 @@ def test_errors_that_are_none_have_bars_of_nothing():
         assert bars.rows[0].text(last) == text
 
 
-def test_figures_have_the_axes_they_should():
+def test_figures_have_the_right_axes():
     joints = joint_names(3)
     figures = figures_of(page_of(explanation(joints), ABOUT))
     axes = {name: len(figure.axes) for name, figure in figures.items()}

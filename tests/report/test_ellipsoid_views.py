@@ -173,7 +173,7 @@ def test_follows_robot_and_estimate(meshcat, tmp_path):
         save_recording(meshcat, tmp_path / "nowhere" / "loop.html")
 
 
-def test_what_cannot_be_seen_stays_where_it_was(meshcat):
+def test_invalid_inputs_leave_the_view_unchanged(meshcat):
     view = AdaptationView(MODEL.plant, meshcat, len(TRUTH), path="view")
     context = view.CreateDefaultContext()
     paths = ("robot/0", "desired/0", f"estimate/{MODEL.bodies[1]}")

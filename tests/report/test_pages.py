@@ -74,7 +74,7 @@ def check_self_contained(html):
     return " ".join("".join(read.text).replace("\N{NO-BREAK SPACE}", " ").split())
 
 
-def test_pages_hold_all_joints_and_what_was_found():
+def test_pages_contain_all_joints_and_findings():
     joints = joint_names(6)
     texts = [
         check_self_contained(page(result))
@@ -156,7 +156,7 @@ def test_verdicts_without_steps():
         assert "Parameters" not in text
 
 
-def test_a_diagnosis_tells_ties_and_silence():
+def test_a_diagnosis_names_ties_or_nothing():
     joints = joint_names(3)
     text = unescape(check_self_contained(page(diagnosis(joints), saved="my arm.yaml")))
     assert "Missing: Coulomb friction + viscous friction (all 3 joints)." in text
@@ -216,7 +216,7 @@ def test_values_with_deviations(value, deviation, text):
     assert with_deviation(value, deviation) == text
 
 
-def test_a_second_deviation_is_shown_where_it_is_not_small():
+def test_a_second_deviation_is_shown_unless_it_is_small():
     joints = joint_names(2)
     for systematic, text in (
         (0.0035, "3.084 ± 0.012"),
@@ -249,7 +249,7 @@ def test_numbers_in_words():
     assert places_label(("a", "b", "d", "e"), tuple("abcde"), most=3) == "4 of 5 joints"
 
 
-def test_many_places_are_counted_and_those_of_a_base_are_none():
+def test_many_places_are_counted_without_those_of_a_base():
     joints = joint_names(30)
     found = explanation(joints, [friction(joints[:20])])
     for base, words in ((0, "20 of 30 joints"), (6, "20 of 24 joints"), (10, "all 20 joints")):
@@ -260,7 +260,7 @@ def test_many_places_are_counted_and_those_of_a_base_are_none():
     )
 
 
-def test_where_no_noise_is_seen_nothing_is_called_removable():
+def test_without_a_noise_floor_nothing_is_removable():
     found = comparison(joint_names(3), 0.5)
     quiet = tuple(dataclasses.replace(joint, floor=0.0) for joint in found.errors.joints)
     found = dataclasses.replace(found, errors=ErrorTable(quiet))
@@ -275,7 +275,7 @@ def test_where_no_noise_is_seen_nothing_is_called_removable():
     assert written["joints"]["joint_0"]["removable"] == NoNumber("the logs show no sensor noise")
 
 
-def test_an_added_effect_that_makes_things_worse_is_said_to():
+def test_a_useless_added_effect_is_reported():
     joints = joint_names(3)
     useless = step("joint_spring", joints, {}, {}, error_before=0.565, error_after=0.569)
     added = explanation(joints, (useless,))
@@ -288,7 +288,7 @@ def test_an_added_effect_that_makes_things_worse_is_said_to():
     assert "xplained in part" not in text
 
 
-def test_the_worst_joint_is_named_where_it_errs_throughout():
+def test_the_worst_joint_is_named_if_it_fails_throughout():
     """The first of five joints fails at some speeds, and the last errs most."""
     one = comparison(joint_names(5), 1.0)
     even = dataclasses.replace(one, errors=errors(joint_names(5)[::-1], 1.0))
@@ -298,7 +298,7 @@ def test_the_worst_joint_is_named_where_it_errs_throughout():
     assert "throughout: nrms 0.200" in check_self_contained(page(even))
 
 
-def test_where_a_joint_fails_has_its_unit_and_three_digits():
+def test_failures_of_joints_have_a_unit_and_three_digits():
     for rms, unit, words in ((1.67, "N", "1.67 N"), (167.0, "N·m", "167 N·m")):
         case = Failing("slide", "at speeds below 0.05 m/s", rms, 1.0, 0.6, 0.2, unit)
         found = dataclasses.replace(comparison(("slide",), 1.0), failing=(case,))
@@ -311,7 +311,7 @@ def test_where_a_joint_fails_has_its_unit_and_three_digits():
         assert [cell.text for cell in shares] == ["60 %", "20 %"]
 
 
-def test_what_is_left_is_told_by_its_size():
+def test_the_remaining_error_is_described_by_its_size():
     joints = joint_names(2)
     for share, mark in ((0.02, "Explained to practical noise: "), (0.5, "Explained in part: ")):
         found = dataclasses.replace(explanation(joints), end=errors(joints, share))

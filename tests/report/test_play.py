@@ -39,7 +39,7 @@ def page(short):
     return page_of(short)
 
 
-def test_links_go_where_the_log_says(short, page):
+def test_links_follow_the_log(short, page):
     plant, log = welded_plant(URDF), read_log(LOG)
     context = plant.CreateDefaultContext()
     (excerpt,) = short.excerpts
@@ -56,7 +56,7 @@ def test_links_go_where_the_log_says(short, page):
             np.testing.assert_allclose(positions[frame], place, atol=2e-3)
 
 
-def test_ghosts_go_where_rollouts_do_if_asked_for(after, cut, page):
+def test_ghosts_follow_rollouts_on_request(after, cut, page):
     playback = play_back(after, [cut], ghost=0.2)
     (played,) = playback.models
     there = np.isfinite(played.simulated).all(1)
@@ -126,7 +126,7 @@ def test_the_worst_moments_are_the_worst_and_apart(playback):
             assert all(abs(o.frame - m.frame) >= FRAMES for o in same)
 
 
-def test_of_long_logs_the_worst_passages_are_played(before, playback):
+def test_the_worst_parts_of_long_logs_are_played(before, playback):
     some = play_back(before, [LOG], seconds=6.0)
     assert sum(len(e.time) for e in some.excerpts) / FRAMES <= 6.0
     assert some.seconds_left_out == pytest.approx(23.76 - 6.0, abs=0.3)
@@ -254,7 +254,7 @@ def test_a_browser_opens_it_and_jumps(browser, tmp_path, page, short):
         assert f"#{color}" == COLORS[-1]
 
 
-def test_names_that_mean_harm_stay_words(tmp_path):
+def test_malicious_names_stay_text(tmp_path):
     name, joint = "</script><b>`${1}\u2028", "shoulder"
     text = PENDULUM.read_text().replace(f'"{joint}"', f'"{name.replace("<", "&lt;")}"')
     (tmp_path / "r.urdf").write_text(text)

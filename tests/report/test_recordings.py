@@ -182,7 +182,7 @@ def test_no_ffmpeg_that_runs_is_one_line(monkeypatch, program):
     assert "No working ffmpeg" in said and "FILE.gif" in said
 
 
-def test_the_command_writes_what_is_asked_for_and_no_page(tmp_path, monkeypatch):
+def test_the_command_writes_recordings_without_a_page(tmp_path, monkeypatch):
     pytest.importorskip("foxglove")
     monkeypatch.chdir(tmp_path)
     said = told("play", URDF, LOG, "--seconds", 1, "--to", "mcap", "p.mcap")
@@ -208,14 +208,14 @@ def test_pages_show_the_robot_before_and_after():
     assert red[0] > 0.5 and red[1] < 0.1
 
 
-def test_a_robot_in_no_posture_of_a_log_has_no_picture(tmp_path):
+def test_a_robot_without_joint_positions_has_no_picture(tmp_path):
     body = '<body name="b"><joint name="j" type="ball"/><geom size="0.1"/></body>'
     (tmp_path / "ball.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
     model = load_model(tmp_path / "ball.xml")
     assert error_pictures(model, {"": comparison(model.joints, 1.0)}) is None
 
 
-def test_a_free_base_is_drawn_with_its_root_in_the_colour_of_its_joints():
+def test_the_root_of_a_free_base_has_the_colour_of_its_joints():
     model = load_model(PENDULUM, floating=True)
     (data,) = error_pictures(model, {"": comparison(model.joints, 1.0)}).shown.values()
     assert pixels(data)[..., 3].any()

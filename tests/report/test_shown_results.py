@@ -117,7 +117,7 @@ def parts(value, seen):
 
 
 @pytest.mark.parametrize("name", MAKERS)
-def test_every_repr_is_short_and_tables_a_figure_and_frames_are_shown(results, name):
+def test_results_have_short_reprs_tables_figures_and_frames(results, name):
     result = results(name)
     for part in parts(result, {}):
         if type(part).__module__.startswith("geodrake"):
@@ -158,7 +158,7 @@ def test_frame_has_the_numbers_of_the_result(results):
         assert np.sqrt((residual**2).mean()) == pytest.approx(rms)
 
 
-def test_a_package_that_is_not_there_is_named_with_how_to_install_it(results, monkeypatch, file):
+def test_missing_packages_are_named_with_their_installation(results, monkeypatch, file):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(ArgumentError, match=r'pip install "geodrake\[notebook\]"'):
         results("Comparison").to_dataframe()
@@ -201,7 +201,7 @@ class TestSeriesFile:
 SCHEMA = run_path(str(Path(__file__).parents[2] / "tools" / "result_schema.py"))
 
 
-def test_a_number_that_is_none_is_null_with_a_reason():
+def test_numbers_that_are_not_finite_are_null_with_a_reason():
     result = {"a/b": [1.0, np.nan], "c~": {"x": np.array([np.inf, 2.0])}, "d": None, "e": "nan"}
     found = json.loads(to_json(result), parse_constant=lambda name: 1 / 0)
     assert found["a/b"] == [1.0, None]
@@ -213,7 +213,7 @@ def test_a_number_that_is_none_is_null_with_a_reason():
     }
 
 
-def test_a_reason_that_is_known_is_told_and_nothing_where_all_are_finite():
+def test_known_reasons_of_nulls_are_given():
     found = json.loads(to_json({"x": NoNumber("nobody looked"), "y": 1.0}))
     assert found == {"x": None, "y": 1.0, "nulls": {"/x": "nobody looked"}}
     assert json.loads(to_json({"a": [np.float64(1.5), 2, True, "x"]})) == {"a": [1.5, 2, True, "x"]}
@@ -230,7 +230,7 @@ def test_published_schema_is_that_of_the_tables():
     assert {kind["$ref"].split("/")[-1] for kind in json.loads(published)["anyOf"]} <= set(kinds)
 
 
-def test_the_tables_are_read_alike_without_libyaml():
+def test_the_schema_is_the_same_without_libyaml():
     text = (files("geodrake.report") / "schema.yaml").read_text(encoding="utf-8")
     assert yaml.load(text, yaml.SafeLoader) == schema()
 
