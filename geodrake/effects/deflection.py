@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from geodrake.compiling import compiled, contiguous
 from geodrake.effects.base import (
@@ -20,6 +19,7 @@ from geodrake.effects.base import (
     Values,
 )
 from geodrake.errors import ArgumentError
+from geodrake.logs.filtering import differentiate
 from geodrake.robot.effort_slopes import EffortSlopes
 
 SPRING_DAMPING = 0.05
@@ -44,8 +44,8 @@ class Deflection:
         """
         if time is None or len(lag) <= _DEGREE:
             return cls(lag, np.zeros_like(lag), np.zeros_like(lag))
-        spline = make_interp_spline(time, lag, k=_DEGREE)
-        return cls(lag, np.asarray(spline(time, 1)), np.asarray(spline(time, 2)))
+        period = float(time[-1] - time[0]) / (len(time) - 1)
+        return cls(lag, *(differentiate(lag, period, order=order) for order in (1, 2)))
 
     def of(self, joint: int) -> Deflection:
         """Return the deflection of one joint."""

@@ -253,10 +253,21 @@ def design_filter(
     return ZeroPhaseFilter(half / (2.0 * half.sum() - half[0]), decimation, period, bandwidth)
 
 
-def differentiate(signal: ArrayLike, period: float) -> Array:
+SPLINE_REACH = 40
+"""Number of samples beyond which a change does not affect an interpolating spline."""
+
+_DERIVATIVES = {
+    1: np.array([-1.0, -10.0, 0.0, 10.0, 1.0]) / 24.0,
+    2: np.array([1, 2, -6, 2, 1]) / 6,
+}
+"""Derivatives of a quintic spline at a sample, from the five coefficients around it."""
+
+
+def differentiate(signal: ArrayLike, period: float, *, order: int = 1) -> Array:
     """Differentiate a smooth signal of at least 6 samples with respect to time by a quintic spline.
 
-    The derivative has no lag, and a relative error below 1e-3 up to a quarter of the rate.
+    The `order` is 1 or 2. The derivative has no lag, and the first a relative error below 1e-3 up
+    to a quarter of the rate.
     """
     signal = np.asarray(signal, float)
     if len(signal) < _LEAST_SAMPLES:
@@ -264,8 +275,16 @@ def differentiate(signal: ArrayLike, period: float) -> Array:
             f"A derivative needs {_LEAST_SAMPLES} samples; got {len(signal)}.",
             advice="Use a longer signal.",
         )
-    slopes = spline_through(signal).derivative()(np.arange(float(len(signal))))
-    return np.asarray(slopes / period)
+    if len(signal) <= 4 * SPLINE_REACH:
+        spline = spline_through(signal).derivative(order)
+        return np.asarray(spline(np.arange(float(len(signal)))) / period**order)
+    # Only near the ends does the spline depend on their conditions.
+    start, end = signal[: 2 * SPLINE_REACH], signal[-2 * SPLINE_REACH :]
+    first, last = (differentiate(part, period, order=order) for part in (start, end))
+    coefficients = spline_coefficients(signal)[SPLINE_REACH - 2 : 2 - SPLINE_REACH]
+    weights, count = _DERIVATIVES[order] / period**order, len(signal) - 2 * SPLINE_REACH
+    middle = sum(w * coefficients[k : k + count] for k, w in enumerate(weights.tolist()) if w)
+    return np.concatenate([first[:SPLINE_REACH], middle, last[-SPLINE_REACH:]])
 
 
 def spline_through(signal: Array) -> BSpline:

@@ -17,16 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import Array
-from geodrake.logs.filtering import ZeroPhaseFilter, differentiate, resample
+from geodrake.logs.filtering import SPLINE_REACH, ZeroPhaseFilter, differentiate, resample
 
 CHUNK = 20_000
 """Number of samples that are smoothed at once."""
 
 _KEPT = 50_000
 """Number of samples up to which a log's smoothed copy stays in memory."""
-
-SPLINE_REACH = 40
-"""Number of samples beyond which a change does not affect an interpolating spline."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,9 +21,9 @@ from geodrake.identification.logs.contact_rows import (
     row_scales,
 )
 from geodrake.identification.logs.dataset import Indices, JointRows, column_starts, is_payload
-from geodrake.logs.filtering import shifted, spline_coefficients
+from geodrake.logs.filtering import SPLINE_REACH, shifted, spline_coefficients
 from geodrake.logs.motion import MEMORY, Motion, Trajectory
-from geodrake.logs.smoothing import SPLINE_REACH, Segment, Stretch
+from geodrake.logs.smoothing import Segment, Stretch
 from geodrake.model.carried_payloads import carried_phi, carrying
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.kinematics import KinematicTree
