@@ -185,9 +185,7 @@ def run_draws(
 ) -> list[Any]:
     """Return the results of a task for all draws, cached ones from the file of an earlier run.
 
-    Args:
-        task: A picklable function; its results can be written as JSON.
-        key: Settings other than the seed that distinguish runs.
+    The task is picklable, and returns values of JSON. `key` has further settings of the run.
     """
     cache = options.cache or (options.json and options.json.with_suffix(".draws.jsonl"))
     study = Path(parser.prog).stem.rpartition(".")[2]
@@ -298,11 +296,8 @@ def chart(
     """Draw columns of rows over column x, in a panel for each and for each value of `panel`.
 
     Each value of column `by` has a color. Words in column x give bars. A list is a line of its
-    own, over the list x or, without one, its indices. `NAME_deviation` gives error bars.
-
-    Args:
-        levels: Name -> a row whose values are lines across a panel.
-        joined: Whether points are joined.
+    own, over the list x or, without one, its indices. `NAME_deviation` gives error bars. `levels`
+    are rows by name whose values are lines across a panel.
     """
     names = (ys,) if isinstance(ys, str) else tuple(ys)
     kinds, parts = (list(dict.fromkeys(row.get(key) for row in rows)) for key in (by, panel))

@@ -57,11 +57,7 @@ def add_folder_option(parser: argparse.ArgumentParser, what: str = "of the measu
 
 
 def require(parser: argparse.ArgumentParser, folder: Path, *names: str) -> None:
-    """End a script with a message where measurements are absent: which, and where they go.
-
-    Args:
-        names: Files or patterns below the folder.
-    """
+    """End a script with a message if files or patterns below a folder are missing."""
     absent = [name for name in names if not any(folder.glob(name))]
     if not absent:
         return

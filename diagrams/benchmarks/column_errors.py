@@ -46,16 +46,11 @@ _STIFFNESS, _DAMPING = 150.0, 25.0  # 1/s² and 1/s, of the controller
 
 
 def follow(motion: Motion, given: Callable[[Array, Array], Array]) -> tuple[Array, Array, Array]:
-    """Return forward dynamics under a computed torque that the motors give in part.
+    """Return positions, velocities and requested efforts (N, n) under a partial computed torque.
 
     Accelerations solve (M + h F') a = given − bias − friction, by the slope F' of the friction over
-    a step h; M and the bias are inverse dynamics of unit accelerations and of none.
-
-    Args:
-        given: Efforts (n,) that the motors give, by what is asked for and the velocities.
-
-    Returns:
-        Positions, velocities and what was asked for, (N, n) each.
+    a step h; M and the bias are inverse dynamics of unit accelerations and of none. `given` returns
+    the efforts (n,) of the motors from the requested ones and the velocities.
     """
     seen, time, inertia = motion.seen, motion.seen.time, motion.inertia
     step = float(time[1] - time[0]) / _STEPS

@@ -222,12 +222,7 @@ class Recording:
 
 
 def make_recording(draw: Draw, bodies: tuple[str, ...]) -> Recording:
-    """Return the log of a draw.
-
-    Args:
-        draw: The draw; its shares may be other ones for the same log otherwise.
-        bodies: Names that geodrake has for the bodies, in the order of the joints.
-    """
+    """Return the log of a draw; `bodies` are geodrake's names, in the order of the joints."""
     key = f"{draw.case} {draw.hidden} {draw.robot}"
     seeds = np.random.SeedSequence([draw.seed, engines.number_of(key), draw.number]).spawn(4)
     on_robot, on_motion, on_site, on_noise = map(np.random.default_rng, seeds)

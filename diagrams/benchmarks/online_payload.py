@@ -71,11 +71,7 @@ class Streamed:
 def stream(
     log: JointLog, control: ControlModel, update: SampleUpdate, start: Array, *, period: float
 ) -> Streamed:
-    """Play a log to an estimator.
-
-    Args:
-        start: (p,) first estimate.
-    """
+    """Play a log to an estimator that begins with an estimate (p,)."""
     builder = DiagramBuilder()
     source = builder.AddSystem(LogSource(log, control.joints))
     estimator = builder.AddSystem(

@@ -225,11 +225,7 @@ def separation_of(case: Case) -> Separation:
 
 
 def run(draw: Draw, *, iterations: int) -> dict[str, Any]:
-    """Return what the first log leaves ambiguous and, if it is the pair, what others show.
-
-    Args:
-        iterations: Most iterations of the solver in each of its two stages.
-    """
+    """Return what the first log leaves ambiguous and, if it is the pair, what others show."""
     case, rng = CASES[draw.case], np.random.default_rng([draw.seed, draw.case])
     size = case.drawn_size(rng)
     motion = MOTIONS[case.motion][0](rng)

@@ -69,9 +69,7 @@ class StatusReader(LeafSystem):
 class CommandWriter(LeafSystem):
     """Efforts as a command of torques, stamped with the time of the Context.
 
-    Args:
-        gravity_plant: Plant of the robot alone whose gravity, at the state, is taken off the
-            efforts. Torques are zero before there is a state.
+    Gravity of `gravity_plant` at the state is subtracted. Torques are zero before there is a state.
     """
 
     def __init__(self, joints: int, gravity_plant: MultibodyPlant | None = None) -> None:
@@ -107,11 +105,11 @@ def iiwa_ports(
     gravity_plant: MultibodyPlant | None = None,
     elsewhere: bool = False,
 ) -> RobotPorts:
-    """Return where a controller meets a robot that is driven by messages.
+    """Return the ports of a controller for a robot that is driven by messages.
 
     Args:
         joints: Names of the n joints in the order of the messages.
-        lcm: Where messages go, such as one of `ApplyLcmBusConfig`, which the diagram then pumps.
+        lcm: Interface for the messages, which the diagram must pump, as by `ApplyLcmBusConfig`.
         gravity_plant: As for `CommandWriter`, where the robot's driver compensates gravity.
         elsewhere: Whether the robot is in another process, so that a simulation begins with its
             first status, or after `messages.patience`.
@@ -141,15 +139,12 @@ def add_simulated_iiwa(
     *,
     gravity_plant: MultibodyPlant | None = None,
 ) -> OutputPort:
-    """Add the driver of a simulated robot: it sends its status and obeys the torques of commands.
+    """Add the driver of a simulated robot, which sends its status; return the efforts (n).
 
     Args:
         robot: Its ports, with the joints in the order of the messages.
-        gravity_plant: Plant of the robot alone whose gravity the driver compensates beside what is
-            commanded. Keep it as long as the diagram.
-
-    Returns:
-        The efforts (n) that act.
+        gravity_plant: Plant of the robot alone whose gravity the driver compensates. Keep it as
+            long as the diagram.
     """
     n = len(robot.joints)
     subscriber = builder.AddSystem(

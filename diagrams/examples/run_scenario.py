@@ -258,12 +258,7 @@ def add_robot(
     lcm: DrakeLcmInterface | None,
     log_period: float,
 ) -> Placed:
-    """Add a robot, with its controller if it has one.
-
-    Args:
-        place: The robot in the plant; None if it is elsewhere.
-        lcm: Its bus, if it has messages.
-    """
+    """Add a robot, at its place in the plant or elsewhere, with its controller if it has one."""
     own, messages = load_model(folder / spec.model) if spec.model else None, spec.messages
     known = own
     if spec.control is not None and spec.control.model:

@@ -134,11 +134,7 @@ def fit(
     measured: Measurements,
     **weight: float,
 ) -> IdentificationResult:
-    """Return a fit to a triangular factor, with all bodies inside their hulls.
-
-    Args:
-        weight: Its `gamma` or `residual_bound`.
-    """
+    """Return a fit to a triangular factor by γ or residual bound, with bodies in their hulls."""
     by_points = isinstance(regularizer, PointMassEuclidean | PointMassKL)
     how = {"ellipsoids": None if by_points else measured.hulls}
     how["solver"] = "newton" if "gamma" in weight else "clarabel"

@@ -57,8 +57,7 @@ class Study:
 def run(*, seed: int, sizes: Sequence[int], draws: int) -> Study:
     """Fit all samples, keep the friction found, and fit draws of each size.
 
-    Args:
-        sizes: Numbers of training samples of a stretch; 30 scattered ones are drawn too.
+    Sizes are numbers of training samples of a stretch; 30 scattered ones are drawn, too.
     """
     rng, leg = np.random.default_rng(seed), load_leg()
     points = leg.point_masses(POINTS)

@@ -99,11 +99,10 @@ class Human:
 
 
 def blocks(steps: int, number: int, gap: int) -> Iterator[tuple[Steps, Steps]]:
-    """Yield steps to train on and to test on, for each of as many blocks of consecutive steps.
+    """Yield steps for training and testing, for each of `number` blocks of consecutive steps.
 
-    Args:
-        gap: Steps on both sides of the tested block that are left out: velocities and
-            accelerations are differences of filtered poses, so that neighbours share noise.
+    `gap` steps on both sides of the tested block are omitted: velocities and accelerations are
+    differences of filtered poses, so neighbours share noise.
     """
     every = np.arange(steps)
     for block in np.array_split(every, number):
@@ -146,11 +145,7 @@ def rows_of(human: Human, alpha: float, found: RegularizerComparison) -> list[di
 def errors_of(
     human: Human, found: RegularizerComparison, tested: Mapping[str, Sequence[Array]]
 ) -> list[dict[str, Any]]:
-    """Return the rows of [Lee2019] table 3.1: RMS errors, of all data and of blocks.
-
-    Args:
-        tested: Regularizer -> errors (t, 3) of every block, from fits to the others.
-    """
+    """Return the rows of [Lee2019] table 3.1: RMS errors of all data, and (t, 3) of blocks."""
     bodies = {"prior": human.prior, **{name: fit.phi for name, fit in found.results.items()}}
     parts = {"prior": [human.errors(human.prior)], **tested}
     return [

@@ -79,9 +79,7 @@ def effort_errors(
 ) -> tuple[Array, ...]:
     """Return (nv,) RMS errors of efforts (N·m) and of accelerations M⁻¹(τ − τ̂) (rad/s²).
 
-    Args:
-        regressor: (N, nv, p) at the samples of validation.
-        mass: (N, nv, nv) mass matrices there.
+    The regressor (N, nv, p) and mass matrices (N, nv, nv) are those of the validation samples.
     """
     effort = regressor @ root_covariance(found)
     acceleration = np.linalg.solve(mass, effort)

@@ -151,9 +151,6 @@ def design(cell: Cell, *, iterations: int, seed: int) -> dict[str, Any]:
 
     "value_by_frame" has the criterion of the same samples in every frame, and "geometric_value"
     that with geometric normalization, by which all motions can be compared.
-
-    Args:
-        iterations: Most iterations of the solver, in each of its two stages.
     """
     result = design_excitation(
         payload_target(cell.frame),

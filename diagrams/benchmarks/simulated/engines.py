@@ -60,12 +60,7 @@ class RobotFile:
     text: str  # the URDF
 
     def changed(self, name: str, **attributes: Mapping[str, str]) -> RobotFile:
-        """Return a file with another type or effort limit of some joints.
-
-        Args:
-            name: Name of the new file.
-            attributes: `type` or `effort` -> joint -> its value.
-        """
+        """Return a file with other attributes of joints: `type` or `effort` -> joint -> value."""
         root = ET.fromstring(self.text)
         for joint in root.iter("joint"):
             for key, values in attributes.items():

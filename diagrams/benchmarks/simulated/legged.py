@@ -506,12 +506,9 @@ class _Legs:
         ]
 
     def reach(self, sway: Array, other: Array, lift: Array) -> Array:
-        """Return positions of all joints.
+        """Return positions of all joints for a displacement (6,) of the trunk and heights of feet.
 
-        Args:
-            sway: (6,) displacement of the trunk and its angles.
-            other: Displacements of all joints; those of legs are ignored.
-            lift: Height of each foot.
+        `other` are displacements of all joints; those of legs are ignored.
         """
         data, start = self._data, self._start
         legs = np.concatenate([np.add(leg, 1) for leg in self.columns])

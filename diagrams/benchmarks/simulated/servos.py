@@ -40,10 +40,9 @@ class Servos:
 
 
 def simulated(engine: str, urdf: str, servos: Servos, command: Array) -> tuple[Array, Array, Array]:
-    """Return positions, velocities and torques (N, n) of an arm that follows commands.
+    """Return positions, velocities and torques (N, n) of an arm that follows commands (N, n).
 
-    Args:
-        command: (N, n) commanded positions at intervals of `STEP`; it starts at rest at the first.
+    Commands are at intervals of `STEP`; the arm starts at rest at the first one.
     """
     delay_steps = round(servos.delay / STEP)
     delayed = np.concatenate([np.repeat(command[:1], delay_steps, axis=0), command])[: len(command)]

@@ -147,11 +147,7 @@ class WeakActuators(LeafSystem):
     """Actuators that have lost most of their strength for a while, which nobody knows."""
 
     def __init__(self, limits: Array, episodes: Sequence[Episode]) -> None:
-        """Construct the system.
-
-        Args:
-            limits: (n,) what is left of the efforts, N·m.
-        """
+        """Construct the system with the remaining limits (n,) of efforts, N·m."""
         LeafSystem.__init__(self)
         self._limits = limits
         self._episodes = [each for each in episodes if each.fault == WEAK]
@@ -169,11 +165,7 @@ class NoisyVelocities(LeafSystem):
     """Positions as they are, and velocities with white noise that is held for a millisecond."""
 
     def __init__(self, size: int, deviation: float, *, duration: float, seed: int) -> None:
-        """Construct the system.
-
-        Args:
-            deviation: Standard deviation of the noise, rad/s.
-        """
+        """Construct the system with a standard deviation of the noise, rad/s."""
         LeafSystem.__init__(self)
         rng = np.random.default_rng([seed, 58])
         self._noise = rng.normal(0.0, deviation, (round(1e3 * duration), size))
@@ -203,12 +195,9 @@ def faulty_loop(
     seed: int = 0,
     seen: Callable[[], object] | None = None,
 ) -> Record:
-    """Simulate a loop with faults, logged.
+    """Simulate a loop with faults in continuous time, logged; call `seen` every ten seconds.
 
-    Args:
-        plant: What is controlled, in continuous time, with an actuator at each joint in turn.
-        limits: (n,) limits of the efforts, N·m.
-        seen: What is called every ten seconds.
+    The plant has an actuator at each joint in turn, with limits (n,) of the efforts, N·m.
     """
     builder = DiagramBuilder()
     builder.AddSystem(plant)

@@ -81,12 +81,7 @@ def cells(
 
 
 def grid_lines(rows: Sequence[Any], group: str) -> list[dict[str, Any]]:
-    """Return a line a speed of the grid, of every law and whatever else tells draws apart.
-
-    Args:
-        rows: Rows of draws with law, speed, rms, lost, rise and unphysical.
-        group: Column beside the law within which a speed is chosen.
-    """
+    """Return a line for each speed, law and value of the column `group`, the chosen ones marked."""
     lines = [{**line, "chosen": ""} for line, *_ in cells(rows, (group, "law", "speed"))]
     for value, law in dict.fromkeys((line[group], line["law"]) for line in lines):
         own = [line for line in lines if (line[group], line["law"]) == (value, law)]
@@ -97,10 +92,10 @@ def grid_lines(rows: Sequence[Any], group: str) -> list[dict[str, Any]]:
 
 
 def study_parser(doc: str, *, gains: str, estimates: bool = False) -> argparse.ArgumentParser:
-    """Return a parser with the options that studies of laws have.
+    """Return a parser with the options of studies of laws.
 
     Args:
-        gains: Whose speeds there are by default, "rule" or "source".
+        gains: Default of the adaptation speeds, "rule" or "source".
         estimates: Whether draws differ by first estimates, of which there may be several.
     """
     parser = script_parser(doc, draws=True, figures=True)
@@ -123,12 +118,12 @@ def run_study(
     *,
     group: str,
 ) -> None:
-    """Run draws from the command line and tell of them, or choose speeds on those of a grid.
+    """Run draws from the command line and print them, or choose speeds on those of a grid.
 
     Args:
-        parser: That of `study_parser`, perhaps with options of the study's own.
-        task: Makes a row of a draw and a seed.
-        group: Column beside the law within which a speed is chosen.
+        parser: That of `study_parser`, perhaps with further options.
+        task: Function of a draw and a seed that returns a row.
+        group: Column besides the law within which a speed is chosen.
     """
     options = parser.parse_args()
     if "draws" in options:

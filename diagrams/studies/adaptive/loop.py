@@ -88,11 +88,9 @@ def simulate(
     end: float | None = None,
     sensor: System | None = None,
 ) -> Record:
-    """Simulate a loop over a whole motion, or until it is lost.
+    """Simulate a loop until `end`, s, or the end of the motion, or until it is lost.
 
-    Args:
-        end: When to stop, s; None for the end of the motion.
-        sensor: What the controller sees the plant through; nothing if None.
+    The controller receives the state of the plant from `sensor`, if there is one.
     """
     builder = DiagramBuilder()
     builder.AddSystem(plant)
@@ -115,9 +113,9 @@ def simulate_loop(
     """Simulate a logged loop.
 
     Args:
-        joints: (nq, n) a plant's joints of what the motion says, which they are if None.
-        step: That of a loop whose plant has faults, s, which goes on when it is lost.
-        seen: What is called every ten seconds.
+        joints: (nq, n) map of the motion to the plant's joints; None for the identity.
+        step: Step of a loop whose plant has faults, s, which continues when it is lost.
+        seen: Function that is called every ten seconds.
     """
     diagram = builder.Build()
     root = diagram.CreateDefaultContext()

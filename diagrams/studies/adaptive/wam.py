@@ -49,10 +49,9 @@ def load_wam() -> Wam:
 
 
 def make_plant(load: Array | None = None) -> MultibodyPlant:
-    """Return the true arm, to be simulated: without limits of joints or efforts, as in the source.
+    """Return the true arm without limits of joints or efforts, as in the source.
 
-    Args:
-        load: (10,) inertial parameters of a body on the palm, about the palm's origin.
+    `load` are the inertial parameters (10,) of a body on the palm, about the palm's origin.
     """
     plant = MultibodyPlant(0.0)
     on_its_base(MODEL, "base", plant)

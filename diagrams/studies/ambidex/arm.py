@@ -252,8 +252,7 @@ def smoothed(position: Array) -> Motion:
 def measure(arm: Arm, *, seed: int, hull: float) -> Measurements:
     """Return simulated measurements: exact motions, with noise of torques and encoders.
 
-    Args:
-        hull: Semi-axes of the hulls over those of the bodies' equivalent uniform ellipsoids.
+    Hulls are equivalent uniform ellipsoids of the bodies with `hull` times the semi-axes.
     """
     rng = np.random.default_rng([seed, 0])
     motion = point_to_point(arm, rng)

@@ -195,11 +195,7 @@ def fit_points(
 def compare(
     data: Condensed, leg: Leg, points: PointMasses, **more: Any
 ) -> dict[str, IdentificationResult]:
-    """Return every fit: by γ the entropic and the Riemannian one, at its residual the others.
-
-    Args:
-        **more: Further arguments of `identify`, the same for all.
-    """
+    """Return entropic and Riemannian fits by γ, and the others at the residual of the first."""
     entropic = fit(data, leg, "entropic", gamma=GAMMA, **more)
     bound = entropic.residual
     return {
