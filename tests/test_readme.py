@@ -27,7 +27,7 @@ def blocks(language):
 
 def test_python_lines_print_what_is_shown(tmp_path, monkeypatch, capsys):
     code = next(block for block in blocks("python") if "explain" in block)
-    shown = next(block for block in blocks("") if "as it stands" in block).strip("\n")
+    shown = next(block for block in blocks("") if "explained: nrms" in block).strip("\n")
     monkeypatch.chdir(tmp_path)
     exec(code, {"__name__": "__main__"})
     assert capsys.readouterr().out.strip("\n") == shown

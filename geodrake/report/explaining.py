@@ -387,7 +387,7 @@ def identification_page(found: ModelIdentification, about: About) -> Page:
     return shown.page(
         about,
         "identified",
-        f"Identified: {words.nrms_change(before.nrms, after.nrms)}.",
+        f"Identified, {words.nrms_change(before.nrms, after.nrms)}.",
         (
             joints,
             Section(

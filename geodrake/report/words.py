@@ -23,9 +23,9 @@ _MOST_PLACES = 3
 _PRACTICAL = 1.5  # multiple of the noise that still counts as noise in practice
 _PROPER_NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck", "com": "CoM"}
 NOTHING = {
-    "adequate": "Adequate: no effect is worth adding.",
-    "undecided": "Undecided: the logs cannot tell whether an effect is missing.",
-    "unexplained": "Unexplained: no known effect explains the error.",
+    "adequate": "Adequate. No effect is worth adding.",
+    "undecided": "Undecided. The logs cannot tell whether an effect is missing.",
+    "unexplained": "Unexplained. No known effect explains the error.",
 }
 NRMS = "nrms is the RMS error / standard deviation of the measured effort"
 
@@ -212,14 +212,14 @@ def explanation_headline(explanation: Explanation, *, added: bool = False) -> st
     elif mark == "unexplained":
         is_practical = end.shows_noise and end.nrms <= _PRACTICAL * end.floor_nrms
         mark = "explained to practical noise" if is_practical else "explained in part"
-    return f"{capitalized(mark)}: {nrms_change(start.nrms, end.nrms)}."
+    return f"{capitalized(mark)}, {nrms_change(start.nrms, end.nrms)}."
 
 
 def _findings(steps: Sequence[Step], units: Units) -> str:
-    """Return effects, with their places if these are few."""
-    if len(steps) > _MOST_PLACES:
-        return ", ".join(effect_label(step.effect) for step in steps)
-    return ", ".join(finding(step, units) for step in steps)
+    """Return effects; a single one with its place."""
+    if len(steps) == 1:
+        return finding(steps[0], units)
+    return ", ".join(effect_label(step.effect) for step in steps)
 
 
 def explanation_facts(
@@ -268,7 +268,7 @@ def _error_cause(explanation: Explanation) -> str:
 
 def nrms_change(before: float, after: float) -> str:
     """Return the change of an error on held-out data."""
-    return f"nrms on held-out data {number(before)} → {number(after)}"
+    return f"nrms {number(before)} → {number(after)} on held-out data"
 
 
 def _motion_shares(explanation: Explanation) -> str:

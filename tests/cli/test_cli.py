@@ -4,6 +4,7 @@ import json
 import re
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import processes
@@ -117,6 +118,11 @@ def test_demo_explains_the_log_that_ships(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["geodrake_demo.html"]
     page = (tmp_path / "geodrake_demo.html").read_text(encoding="utf-8")
     assert len(page) < 500_000
+    printed = [line.rstrip() for line in result.stdout.splitlines()]
+    for name in ("README.md", "docs/reading_a_result.md"):
+        text = (Path(__file__).parents[2] / name).read_text(encoding="utf-8")
+        (quoted,) = re.findall(r"^```\n(Verdict: .*?)\n```$", text, re.M | re.S)
+        assert quoted in "\n".join(printed), name
     assert all(
         f'data-stage="{words}' in page
         for words in ("as it stands", "after 1: ", "after 2: ", "final model")

@@ -80,7 +80,7 @@ def test_everything_is_written(log, tmp_path):
     output = told("identify", MODEL, log, "--effects", FRICTIONS, *band, *files)
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names.values())
     assert not re.search("[─━│\x1b]", output)
-    for words in ("Joint by joint", "Mass in kg", "Verdict: Identified: nrms on held-out data"):
+    for words in ("Joint by joint", "Mass in kg", "Verdict: Identified, nrms "):
         assert words in output
 
     saved, exported = load_model(tmp_path / "m.yaml"), load_model(tmp_path / "out.urdf")
@@ -225,7 +225,7 @@ def test_the_page_says_that_the_model_was_refitted(found):
     assert "Errors of refitted models are on held-out data" in page
     assert "What the model as it stands gets wrong" not in page
     ends = f"{number(found.before.nrms)} → {number(found.after.nrms)}"
-    verdict = f"Identified: nrms on held-out data {ends}"
+    verdict = f"Identified, nrms {ends} on held-out data"
     assert re.search(rf"<h1[^>]*>\s*{re.escape(verdict)}", page)
     assert "before" in page
 

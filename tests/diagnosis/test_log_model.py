@@ -403,7 +403,7 @@ def test_a_payload_that_bodies_may_have_taken_in_is_said(loaded):
 @pytest.mark.parametrize(
     ("noise", "known", "verdict", "words"),
     [
-        (0.1, True, "adequate", "Adequate: no effect is worth adding."),
+        (0.1, True, "adequate", "Adequate. No effect is worth adding."),
         (0.1, False, "undecided", "inseparable from the noise of elbow"),
         (0.8, True, "undecided", "as large as the explained effort"),
     ],

@@ -90,7 +90,7 @@ def test_pages_contain_all_joints_and_findings():
         ):
             assert words in text
     for words in (
-        *("Missing Coulomb friction (all 6 joints)", "Explained in part: nrms", "3.084 ± 0.012"),
+        *("Missing Coulomb friction (all 6 joints)", "Explained in part, nrms", "3.084 ± 0.012"),
         *("Coulomb, N·m", "75 %", "Stribeck friction", "< 10⁻⁶", "a: bandwidth 4 Hz"),
     ):
         assert words in texts[0]
@@ -148,8 +148,8 @@ def test_effects_without_a_class_and_without_deviations():
 
 def test_verdicts_without_steps():
     for verdict, words in (
-        ("adequate", "Adequate: no effect is worth adding."),
-        ("unexplained", "Unexplained: no known effect explains"),
+        ("adequate", "Adequate. No effect is worth adding."),
+        ("unexplained", "Unexplained. No known effect explains"),
     ):
         text = check_self_contained(page(explanation(joint_names(2), (), verdict=verdict)))
         assert words in text
@@ -164,7 +164,7 @@ def test_a_diagnosis_names_ties_or_nothing():
     command = "geodrake excite 'my arm.yaml' --tell-apart coulomb_friction,asymmetric_friction"
     assert f"{command} --save motion_1.csv" in text
     text = check_self_contained(page(diagnosis(joints, candidates=False)))
-    assert "no known effect explains" in text
+    assert "No known effect explains" in text
 
 
 def test_perfect_models_and_nan_positions_can_be_drawn():
@@ -313,7 +313,7 @@ def test_failures_of_joints_have_a_unit_and_three_digits():
 
 def test_the_remaining_error_is_described_by_its_size():
     joints = joint_names(2)
-    for share, mark in ((0.02, "Explained to practical noise: "), (0.5, "Explained in part: ")):
+    for share, mark in ((0.02, "Explained to practical noise, "), (0.5, "Explained in part, ")):
         found = dataclasses.replace(explanation(joints), end=errors(joints, share))
         assert page_of(found).headline.startswith(mark)
     for share, words in ((0.3, "positions and velocities, 30 % at joint_0"), (0.01, "neither")):
