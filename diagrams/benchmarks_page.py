@@ -4,9 +4,8 @@
     python -m diagrams.benchmarks_page --run fleet_study     run a benchmark by its command first
     python -m diagrams.benchmarks_page --read FOLDER         read FOLDER/fleet_study.json and others
 
-`benchmarks.json` has a command and its figures for each name. `from` says where a figure stands in
-what the command writes with `--json`, as an expression of Jinja about `it`. Figures of a run are
-kept as soon as it ends.
+`benchmarks.json` has a command and its figures for each name. `from` is a Jinja expression that
+finds a figure in `it`, what the command writes with `--json`. Figures are saved after each run.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Public measurements and models of real robots that some studies read.
 
-They belong to others and are no part of the project. A folder holds them as `data` (logs, in
-geodrake's own format) and `reference` (model files): the one that GEODRAKE_MEASUREMENTS names, or
-else `shared` beside the checkout.
+They belong to others and are not part of the project. A folder, the one that GEODRAKE_MEASUREMENTS
+names or `shared` beside the checkout, has them as `data` (logs, in geodrake's own format) and
+`reference` (model files).
 """
 
 from __future__ import annotations

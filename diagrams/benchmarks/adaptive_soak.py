@@ -1,12 +1,11 @@
 """Ten minutes of an adaptive loop whose sensors and actuators fail again and again.
 
 A double pendulum with viscous friction follows a motion under effort limits. Every ten
-seconds or so one of the faults of `adaptive/faults.py` comes at a random time, for a second: noise,
-outliers, encoders that jump or stick, samples that are late or not there, signs that are wrong,
-actuators that have lost their strength. Both controllers start from bodies that are wrong. Told of
-each are the errors between faults (from five seconds after one until the next), how long tracking
-took to come back, how far the estimate is from the truth in the metric of its manifold, and the
-memory of the process. `unguarded` has the effort limits alone, for a minute.
+seconds or so, one of the faults of `adaptive/faults.py` lasts a second: noise, outliers, encoders
+that jump or stick, late or missing samples, wrong signs, weak actuators. Both controllers start
+from wrong bodies. Reported for each are the errors between faults (from five seconds after
+one until the next), the time until tracking recovers, the distance of the estimate from the truth,
+and the memory of the process. `unguarded` has only the effort limits, for a minute.
 
     python -m diagrams.benchmarks.adaptive_soak --json soak.json
 """

@@ -1,10 +1,9 @@
 """How fast adaptive control is: a closed loop, and the online estimator.
 
-A seven-joint arm with 70 inertial parameters and 14 of friction is controlled at 1 kHz by the
-passivity-based controller with the natural law, its plant at 10 kHz. Two questions: how much faster
-than real time that is, beside the plant alone, and how many samples a second the estimator takes.
-All times are CPU times of one core, of pieces of 50 ms of runs that take turns: the median, and the
-fastest tenth, which is what they are where nothing else runs.
+The passivity-based controller with the natural law drives a seven-joint arm (70 inertial and 14
+friction parameters) at 1 kHz, its plant at 10 kHz. How much faster than real time is that, and how
+many samples a second does the estimator take? Times are CPU times of one core, of 50 ms pieces of
+runs that take turns: the median, and the fastest tenth, which other processes disturb least.
 
     OMP_NUM_THREADS=1 python -m diagrams.benchmarks.adaptive_speed --json speed.json
 """

@@ -1,11 +1,11 @@
 """Benchmark of mistakes in columns: does geodrake name them, and nothing where columns are right?
 
-Pinocchio or MuJoCo make logs of five arms (double pendulum, arms of six and seven joints, UR5,
-Panda) on fast, slow and point-to-point motions; bodies are 20 % off in the geometric metric, gains
-3 %, efforts have 1 % of noise, friction and rotors that the model file does not state. Then a
-mistake is made in the columns: a sign, a unit, a gain, a zero, swapped joints, a part of the
-efforts taken out, a wrong time. It counts as named if the findings are it, at its joints, and
-nothing else. Logs of which the robot differs otherwise (payload, slope, springs) must give none.
+Pinocchio or MuJoCo simulates five arms (double pendulum, arms of six and seven joints, UR5, Panda)
+on fast, slow and point-to-point motions. Bodies are 20 % off in the geometric metric and gains 3 %;
+efforts have 1 % of noise, and friction and rotors that the model file lacks. Then the columns get
+one mistake: a sign, a unit, a gain, a zero, swapped joints, a part of the efforts removed, a wrong
+time. It counts as named if the findings are that mistake at its joints and nothing else. Logs of
+robots that differ in another way (payload, slope, springs) must give no finding.
 
     python -m diagrams.benchmarks.column_errors --json column_errors.json
 """

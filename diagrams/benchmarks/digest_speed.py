@@ -1,7 +1,7 @@
 """What a digest of a minute of a seven-joint arm costs: CPU time, bytes, and digits in a merger.
 
-The log is made by the arm's own model. Times are of one core, once everything is compiled, beside
-that of a reading of the same log with columns for all candidates, as `diagnose` begins.
+The arm's own model makes the log. Times are of one core, after compilation, next to the time of
+reading the same log with columns for all candidates, as `diagnose` does first.
 
     OMP_NUM_THREADS=1 python -m diagrams.benchmarks.digest_speed --json speed.json
 """

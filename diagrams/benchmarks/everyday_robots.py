@@ -1,10 +1,10 @@
 """Benchmark of everyday logs: what `geodrake explain` says of arms driven as people drive them.
 
-Nine public arms move by periodic Fourier series, moves with trapezoidal speeds, teleoperation, from
-point to point, or one joint after the other, in one to three logs of 20 to 60 s. Friction is at
-all joints, at some or at none; rotors, offsets of efforts and a tool may be there; gains of efforts
-are up to some per cent off, efforts may be late, bodies of the file 15 or 30 % off, and noise white
-or coloured. Dynamics are Pinocchio's or MuJoCo's. Told is what of it is named, and what else.
+Nine public arms, simulated by Pinocchio or MuJoCo, move by Fourier series, trapezoidal speeds,
+teleoperation, from point to point, or one joint after the other, in one to three logs of 20 to
+60 s. All, some or no joints have friction; there may be rotors, effort offsets and a tool. Gains of
+efforts are a few per cent off, efforts may be late, the file's bodies are 15 or 30 % off, and noise
+is white or coloured. Reported is how much of this is named, and what else is.
 
     python -m diagrams.benchmarks.everyday_robots --draws 45 --json everyday.json
 

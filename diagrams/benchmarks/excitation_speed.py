@@ -1,8 +1,8 @@
 """Time of one criterion and its gradient, and of finite differences of it.
 
-E-optimality with the geometric normalization of an iiwa, 1,000 samples of a Fourier motion with 70
-coefficients. All are CPU times of one core. The iiwa is read from the folder --shared; without it,
-and with --quick, an arm of our own takes its place.
+The criterion is E-optimality with the geometric normalization, for 1,000 samples of an iiwa's
+Fourier motion with 70 coefficients. Times are CPU times of one core. The iiwa is read from the
+folder --shared; without it, or with --quick, an arm of this project is used instead.
 
     OMP_NUM_THREADS=1 python -m diagrams.benchmarks.excitation_speed --json speed.json
 """

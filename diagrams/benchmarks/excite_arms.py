@@ -1,14 +1,12 @@
 """Motions of `geodrake excite` for six popular arms, checked by Pinocchio.
 
-Each command runs as a user types it, from where the arm stands, with its usual limits. What it
-saved is then looked at by another engine at 200 Hz: distances of all links from each other and from
-the floor (convex hulls of the file's collision geometry), joints against the file's limits, efforts
-of inverse dynamics, and whether the saved speeds are the slopes of the saved positions. Links that
-overlap however the arm moves are left out, as the command says it does.
+Each command runs as a user types it, from the arm's present pose, with its default limits. Another
+engine then checks the saved motion at 200 Hz: distances of all links from each other and from the
+floor (convex hulls of the file's collision geometry), the file's joint limits, efforts of inverse
+dynamics, and saved speeds against slopes of saved positions. Links that always overlap are left
+out, as the command reports. Models come with the package `example-robot-data`.
 
     python -m diagrams.benchmarks.excite_arms --json arms.json
-
-Models come with the package `example-robot-data`.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Runs of `geodrake fleet` that are killed, a worker or the whole run, and go on.
 
-A fleet of Pinocchio's arms is digested by two processes, undisturbed, and then many times more in
-which something is killed at a moment that is drawn: in every other run one of the workers, which is
-to be replaced, in the others the run itself, which is then begun again. Told are whether the
-results are the same to the last letter, and how many digests that were there were made again.
+Two processes digest a fleet of Pinocchio's arms, once undisturbed and then many times with a kill
+at a random moment: in every other run of a worker, which must be replaced, otherwise of the run
+itself, which is then started again. Reported are whether the results are the same to the last
+letter, and how many existing digests were made again.
 
     OMP_NUM_THREADS=1 python -m diagrams.benchmarks.fleet_kills --json fleet_kills.json
 """

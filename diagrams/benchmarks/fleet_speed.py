@@ -1,7 +1,7 @@
 """How long a run of `geodrake fleet` takes with one and two workers, and once digests are there.
 
-Logs are made by the arm's own model, with friction that differs from robot to robot. Times are
-those of a clock, with the start of the workers.
+The arm's own model makes the logs, with friction that differs from robot to robot. Times are wall
+times and include the start of the workers.
 
     OMP_NUM_THREADS=1 python -m diagrams.benchmarks.fleet_speed --json speed.json
 """

@@ -1,12 +1,11 @@
 """Simulated fleets: which robot, which joint, which effect, since when.
 
-Pinocchio simulates robots of two types, a log a day. Each robot has bodies, friction and gains of
-its own, and friction of all follows the season. In four of five robots one thing changes: friction
-that rises from some day on, dry friction or a gain from one day to the next, a payload that is put
-on or taken off. Logs are files, and what `geodrake fleet` does with them is done: digests on
-processes of Dask, then the findings. Told are how often the change is found (robot, joint or body,
-effect, kind, and the day within two; that of a ramp is the day on which it begins), and how often
-robots are named in which nothing changed.
+Pinocchio simulates robots of two types, a log a day. Each robot has its own bodies, friction and
+gains, and all friction follows the season. In four of five robots one thing changes: friction that
+rises from some day on, dry friction or a gain from one day to the next, a payload that is put on or
+taken off. `geodrake fleet` reads the logs from files: digests by Dask's processes, then findings.
+Reported is how often the change is found (robot, joint or body, effect, kind, and the day within
+two; a ramp's day is its first), and how often robots are named in which nothing changed.
 
     python -m diagrams.benchmarks.fleet_study --json fleet.json
 """

@@ -1,10 +1,10 @@
 """Benchmark of floating bases: what `geodrake explain` says of quadrupeds and a humanoid.
 
 MuJoCo makes two logs each of robots that sway on planted feet or trot in place, with noise of
-encoders, an IMU, efforts and an estimator of the base. Hidden are a payload on the trunk, a link
-that is heavier than its file says, friction and rotors at all joints, a wrong gain of a joint's
-effort, an offset of a foot's sensor, or nothing. Contacts are logged, logged with errors, or not
-logged; wrenches of the feet and efforts of the joints are logged, or not.
+encoders, IMU, efforts and the estimate of the base. Hidden is a payload on the trunk, a link
+heavier than its file says, friction and rotors at all joints, a wrong gain of a joint's effort, an
+offset of a foot's sensor, or nothing. Contacts are logged, logged with errors, or missing;
+wrenches of the feet and efforts of the joints are logged or missing.
 
     python -m diagrams.benchmarks.floating_robots --json floating.json
 """

@@ -1,12 +1,12 @@
 """Benchmark of hidden effects: what `geodrake explain` says of logs whose truth is known.
 
-Pinocchio or MuJoCo make logs of five arms with effects in other formulas than geodrake's: one
-effect of its catalogue, two, none, or one that it has no name for. Robots, motions (fast, slow,
-from point to point), noise (0.5, 1, 2 % of effort), bodies (those of the model file, or 20 % off
-in the geometric metric) and sizes (3 to 25 % of effort) are drawn at random. geodrake gets the log
-and the model file. Further studies: `--coverage N` of the intervals of found parameters under
-coloured noise, `--disturbed N` of the same beside outside effects, `--kinds N` of kinds that are
-hard, `--smallest N` of the smallest effect that is found, by bisection.
+Pinocchio or MuJoCo makes logs of five arms with effects in other formulas than geodrake's: none,
+one or two of its catalogue, or one that it has no name for. Robots, motions (fast, slow, from point
+to point), noise (0.5, 1, 2 % of effort), bodies (exact, or 20 % off in the geometric metric) and
+sizes (3 to 25 % of effort) are random. geodrake gets the log and the model file. Further studies:
+`--coverage N` of the intervals of found parameters under coloured noise, `--disturbed N` of the
+same beside outside effects, `--kinds N` of difficult kinds, `--smallest N` of the smallest effect
+that is found, by bisection.
 
     python -m diagrams.benchmarks.hidden_effects --json hidden_effects.json
 """

@@ -1,15 +1,15 @@
 """A real hobby arm, an SO-101, by commands and positions: whose simulation moves as the arm does?
 
-Three models of it are fitted to two of five public logs (slow sines, and a multisine): geodrake's,
-the same MuJoCo model by mujoco.sysid with the same parameters free, and a servo of second order for
-each joint, which has no dry friction and no load. All are then simulated under the commands of the
-other three logs, from the first measured position on, for two minutes each; geodrake's and
-sysid's by MuJoCo. Told are root mean squares of simulated − measured positions.
+Three models are fitted to two of five public logs (slow sines, and a multisine): geodrake's, the
+same MuJoCo model by mujoco.sysid with the same free parameters, and a second-order servo for each
+joint, without dry friction and load. All then follow the commands of the other three logs, for two
+minutes from the first measured position; MuJoCo simulates the first two. Reported are root mean
+squares of simulated − measured positions.
 
     python -m diagrams.benchmarks.hobby_arm --json hobby_arm.json
 
 It needs the public logs, and `pip install "mujoco[sysid]"` for the second model, which is left out
-without it. Another part fits a Dynamixel XL330 that swings a weight at a gain of 100, and predicts
+otherwise. Another part fits a Dynamixel XL330 that swings a weight at a gain of 100, and predicts
 it at one of 400, alone and by MuJoCo; also by the gain that fits best there.
 """
 

@@ -1,8 +1,8 @@
 """How fast identification is: Newton's method, Drake's conic programs, and the same in CVXPY.
 
 An arm of ten bodies with seven motors, as in [Lee2019] §3.6, from 4,100 samples of all torques (107
-parameters). Times are CPU times, medians of repeats. Geodesic least squares is tried on the arm's
-first samples, beside the entropic fit at the same residual.
+parameters). Times are CPU times, medians of repeats. Geodesic least squares runs on the arm's first
+samples, next to the entropic fit at the same residual.
 
     OMP_NUM_THREADS=1 python -m diagrams.benchmarks.identification_speed --json speed.json
 """

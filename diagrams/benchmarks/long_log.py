@@ -1,8 +1,7 @@
 """How much time and memory a long log takes, from its file to the comparison and the diagnosis.
 
-A log of the seven-joint arm is written to an NPZ file, and `geodrake` reads it in a process of its
-own, whose largest memory is what counts. The raw numbers alone are 120 bytes a sample. It is read
-from CSV and from Parquet, too, and nothing else is done with it then.
+`geodrake` reads an NPZ log of the seven-joint arm in a process of its own, whose peak memory is
+reported; the raw numbers alone take 120 bytes a sample. CSV and Parquet files are only read.
 
     python -m diagrams.benchmarks.long_log --samples 10000000 --json long_log.json
 """

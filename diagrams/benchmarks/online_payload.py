@@ -1,14 +1,14 @@
 """A payload found while a UR10e moves, by the online estimator on public measurements.
 
-The logs of the arm without and with something at its wrist are played; they are no part of the
-project, and without them the script says where they go. The arm is learned from the first log in
-one of two ways: offline (`identify_model`, with friction by load), or online, by the estimator,
-from the model file and guesses of friction. Then its bodies and friction are kept by large
-weights, and a payload is estimated, from the blind guess of [Lee2019] §5.5.2 (1 kg, a sphere of
-0.1 m), on logs without one and on the log with one. There `geodrake explain` finds 3.08 ± 0.03 kg,
-offline. A filtered effort is believed to three times the RMS error of the arm's own log, or, while
-it is learned, to a tenth of its standard deviation. Samples at which a joint stands are left out.
-The payload is estimated by exact projections and by nudges, an online arm by nudges.
+The logs are of the arm with and without something at its wrist; they are not part of the project,
+and without them the script says where they go. The arm is learned from the first log, either
+offline (`identify_model`, with friction by load) or by the online estimator, from the model file
+and guesses of friction. Large weights then hold its bodies and friction, and a payload is
+estimated from the blind guess of [Lee2019] §5.5.2 (1 kg, a sphere of 0.1 m), on logs without one
+and on the log with one, where `geodrake explain` finds 3.08 ± 0.03 kg offline. The standard
+deviation of a filtered effort is three times the RMS error of the arm's own log or, while the arm
+is learned, a tenth of the effort's own. Samples at which a joint stands are left out. Exact
+projections and nudges estimate the payload, nudges an online arm.
 
     python -m diagrams.benchmarks.online_payload --json online.json
 """

@@ -1,11 +1,11 @@
 """Benchmark of ordinary robots: what `geodrake explain` says of arms as they are.
 
-Pinocchio or MuJoCo make two logs each of four public arms with friction at every joint, often
-rotors at every joint and a tool, and a model file that is exact, or 15 or 30 % off; with 50 to
-500 samples a second, with velocities or without. Other robots have an effect of no catalogue, for
-which every name is wrong, or hide nothing. Told are whether everything is named and nothing else,
-the tool's mass with its interval, the processor's seconds, and the calibration: of all that is said
-with a probability, how much is true.
+Pinocchio or MuJoCo makes two logs each of four public arms with friction at every joint, often with
+rotors at every joint and a tool. The model file is exact, or 15 or 30 % off; logs have 50 to 500
+samples a second, with or without velocities. Other robots hide an effect of no catalogue, for which
+every name is wrong, or nothing. Reported are whether everything is named and nothing else, the
+tool's mass with its interval, CPU seconds, and calibration: of all that is said with a
+probability, how much is true.
 
     python -m diagrams.benchmarks.ordinary_robots --seeds 10 --json ordinary.json
 """

@@ -1,7 +1,7 @@
 """What a user's demo takes, and what simulators make of fitted models in all formats.
 
-The models are those of the demo and of two public logs of a UR10e; what simulators make of their
-exports is compared with the models. The demo runs in a process of its own, as a user starts it.
+The demo runs in a process of its own, as a user starts it. The models are those of the demo and of
+two public logs of a UR10e; simulators load their exports, which are compared with the models.
 
     python -m diagrams.benchmarks.pages_and_exports --json pages.json
 """

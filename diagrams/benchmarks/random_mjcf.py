@@ -1,10 +1,10 @@
 """Random MJCFs of many constructs, each as geodrake reads it and as MuJoCo itself does.
 
-A file mixes nested default classes, frames, replicates, attached models (which attach others),
-inertias of geoms and of numbers, total and least masses, joints of every kind with armature,
-damping and springs, powers of both, tendons of joints and between points, motors, compensated
-gravity, media and flags. At random states the effort of `load_model(...).effort` is compared with
-`mj_inverse` and dry friction; what a note says is left out is left out of both, by hand.
+A file mixes nested default classes, frames, replicates, (nested) attached models, inertias from
+geoms and from numbers, total and least masses, joints of every kind with armature, damping and
+springs, powers of both, tendons of joints and between points, motors, compensated gravity, media
+and flags. At random states, the effort of `load_model(...).effort` is compared with `mj_inverse`
+plus dry friction, both without what a note says is left out.
 """
 
 from __future__ import annotations

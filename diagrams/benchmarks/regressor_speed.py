@@ -1,7 +1,7 @@
 """How fast the regressor is, against Pinocchio's.
 
-Both engines compute the same regressors of an arm of seven joints at the same samples, on one core:
-times are CPU times, medians of repeats. What a long log costs is in `long_log.py`.
+Both engines compute the same regressors of a seven-joint arm at the same samples on one core. Times
+are CPU times, medians of repeats. `long_log.py` has the cost of a long log.
 
     python -m diagrams.benchmarks.regressor_speed --json speed.json
 """

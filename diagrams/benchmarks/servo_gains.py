@@ -1,17 +1,16 @@
 """Servos of unknown gains: what `geodrake explain` says of logs without efforts.
 
 Pinocchio and MuJoCo simulate arms of one to seven joints whose servos follow commands. Stiffness,
-damping, delay, dry and viscous friction and armature are drawn at random; a log has positions and
-commands alone, and geodrake the model file. Told are how often all hidden effects are in the set of
-what it names, how often true values lie inside the intervals (two standard deviations), how far
-values are off, and how long it takes.
+damping, delay, dry and viscous friction and armature are random. geodrake gets a log of positions
+and commands, and the model file. Reported are how often it names all hidden effects, how often its
+intervals (two standard deviations) contain true values, how far values are off, and the time.
 
     python -m diagrams.benchmarks.servo_gains --json servo_gains.json
 
-With `--integral`, the same servos have an integral, too; with `--limited`, they are at the limit of
-their torque, which the model file states, for part of each log. With `--backlash`, links have play
-of 0.1 to 1 degree against their motors, by MuJoCo alone; with `--hobby`, logs are of 50 rows a
-second, and of encoders with 4096 steps a turn.
+With `--integral`, the servos have an integral, too; with `--limited`, they reach their torque
+limit, which the model file states, for part of each log. With `--backlash`, links have play of 0.1
+to 1 degree against their motors, by MuJoCo alone; with `--hobby`, logs have 50 rows a second and
+encoders of 4096 steps a turn.
 """
 
 from __future__ import annotations

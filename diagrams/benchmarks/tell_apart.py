@@ -1,15 +1,13 @@
 """Motions that distinguish effects: what a first log leaves ambiguous, a designed motion settles.
 
 A double pendulum has an effect that its model file lacks, in formulas of the study's own. Its first
-log is slow and small, and `diagnose` names the effect and its rival together: the log cannot
-distinguish them. Then the robot executes the motion that `geodrake excite --tell-apart` designs for
-the pair, within the same narrow limits, and the log of that alone is diagnosed; likewise, to
-compare, a random motion of the same family and limits, the one that the design starts from. A pair
-is distinguished if the effect is among those that are as good as the best, and its rival is not.
-Robots whose first log is not ambiguous are counted and left aside. A diagnosis, which wants most
-blocks of a log to agree, may still not distinguish two effects on a motion that makes them differ:
-a direction that few blocks have counts little. So motions repeat. Draws are kept beside the table,
-so that an interrupted run goes on.
+log is slow and small, and `diagnose` cannot distinguish the effect from a rival. The robot then
+executes the motion that `geodrake excite --tell-apart` designs for the pair within the same narrow
+limits, and `diagnose` gets that log alone; next to it, the log of the random motion that the design
+starts from. A pair is distinguished if the effect is as good as the best, and its rival is not.
+Robots whose first log is not ambiguous are only counted. As a diagnosis wants most blocks of a log
+to agree, a direction that few blocks excite counts little; so motions repeat. Draws are kept beside
+the table, so that an interrupted run goes on.
 
     python -m diagrams.benchmarks.tell_apart --json tell_apart.json
 """

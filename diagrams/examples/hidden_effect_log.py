@@ -1,9 +1,9 @@
 """A log of a robot that has effects its model file lacks.
 
-A Drake diagram follows a random smooth motion: a plant with drives (PD control of its joints), the
-inverse dynamics of the model file as feedforward, and `EffectForce` with the hidden effects; a
-payload is a body welded to the plant, a rotor is that of Drake's actuators. Efforts are logged with
-white noise and positions with the ticks of an encoder, so that the log looks measured. For example
+In a Drake diagram, a plant follows a random smooth motion by PD control of its joints, with the
+inverse dynamics of the model file as feedforward and the hidden effects from `EffectForce`; a
+payload is a welded body, a rotor that of Drake's actuators. Efforts have white noise and positions
+encoder ticks, so that the log looks measured. For example
 
     python -m diagrams.examples.hidden_effect_log --robot arm7 --log friction.csv \
         --effect coulomb_friction --where joint_4 --size 3

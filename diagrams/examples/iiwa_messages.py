@@ -1,8 +1,8 @@
 """Controllers and simulated robots that meet by LCM messages of an iiwa's driver.
 
-The messages are `lcmt_iiwa_status` and `lcmt_iiwa_command` of Drake, for any number of joints.
-A controller meets `iiwa_ports`, and drives what speaks these messages: `add_simulated_iiwa` here,
-Drake's hardware_sim with an `IiwaDriver` in torque_only mode, or a real iiwa.
+The messages are Drake's `lcmt_iiwa_status` and `lcmt_iiwa_command`, for any number of joints. A
+controller uses `iiwa_ports`; the other side is `add_simulated_iiwa`, Drake's hardware_sim with an
+`IiwaDriver` in torque_only mode, or a real iiwa.
 """
 
 from collections.abc import Sequence

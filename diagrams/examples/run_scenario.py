@@ -1,8 +1,8 @@
 """Simulates a scenario: robots with adaptive controllers, tables, objects, messages of LCM.
 
-A scenario is one of Drake's hardware_sim, with `robots` in the place of drivers: see
-`scenes/workcell.yaml` for some, and `Scenario` for all that one may say. (Drake reads the types of
-fields as they are, so that annotations of this module are evaluated.)
+A scenario is one of Drake's hardware_sim with `robots` instead of drivers: see
+`scenes/workcell.yaml` for examples and `Scenario` for all fields. (Drake reads the types of fields,
+so this module's annotations are evaluated.)
 
     python -m diagrams.examples.run_scenario --scenario-name push --figures figures
 """

@@ -3,13 +3,13 @@
 Torques of 47 random point-to-point motions are simulated with friction and noise, and the prior is
 wrong in every link ([Lee2019] §B.2). Each draw has its own prior and its own stretches of the
 training samples. All regularizers reach the training residual of the entropic divergence, and
-friction is what all samples say ([Lee2019] §3.5.1, §3.6.1). Draws that are done are kept in a file,
-so that an interrupted run goes on.
+friction is identified from all samples ([Lee2019] §3.5.1, §3.6.1). Finished draws are kept in a
+file, so that an interrupted run goes on.
 
-With the Euclidean distance, kilograms are dear and moments of inertia cost next to nothing. So
-masses, and with them the zero-moment point, stay as wrong as they were, and moments go where noise
-and uneven friction drive them, until P ⪰ 0 or the hull stops them: its error grows with the hull,
-those of the others do not. Whether it is better than the prior depends on how wrong that is.
+With the Euclidean distance, kilograms are dear and moments of inertia cost almost nothing. Masses,
+and with them the zero-moment point, stay as wrong as they were; moments follow noise and uneven
+friction until P ⪰ 0 or the hull stops them. So its error grows with the hull, unlike the others',
+and whether it beats the prior depends on how wrong that is.
 
     python -m diagrams.studies.ambidex_arm --json ambidex.json --figures figures
 """

@@ -1,12 +1,12 @@
 """Sandbags on an AMBIDEX-like arm: inertia and friction adapt, by four laws ([Lee2019] §5.6).
 
-Sandbags of 500 g are on one to three links. The controller begins with what was identified without
+One to three links carry sandbags of 500 g. The controller starts from what was identified without
 them, as in `ambidex_arm.py`: bodies and friction of the motors are a little off, and friction is
 uneven, which no parameter explains. Its gains are small, λ = 3 1/s, it acts at 1 kHz, and friction
-adapts twice as fast as inertia. Fourteen random point-to-point motions of 1.5 s (figures 5.8, 5.9).
-The plant has ten joints, coupled in pairs by constraints. Adaptation speeds γ⁻¹ are the source's,
-or with `--gains rule` chosen by one rule for all laws (`adaptive/laws.py`), with other motions and
-a sandbag at link 8; there is no V here to rule out any, as the truth is not among the parameters.
+adapts twice as fast as inertia. The plant has ten joints, coupled in pairs by constraints, and
+makes fourteen random point-to-point motions of 1.5 s (figures 5.8, 5.9). Adaptation speeds γ⁻¹ are
+the source's, or with `--gains rule` chosen by one rule for all laws (`adaptive/laws.py`), on other
+motions and a sandbag at link 8, and without its condition on V, as no parameters are the truth.
 
     python -m diagrams.studies.ambidex_sandbags --json sandbags.json --figures figures
 """

@@ -2,10 +2,10 @@
 
 [Lee2019] §4.6.3, figure 4.7, tables 4.3 and 4.4. Of 20 random motions that keep the zero-moment
 point in the sole, 10 identify and 10 validate. Least squares of all base parameters drowns in the
-noise along directions that no motion excites; reduced identification leaves those at the prior. The
-prior is the robot with random point masses added or taken away. Atlas is read from the folder
---shared; without it, and with --quick, a small robot of our own takes its place. Motions that are
-done are kept beside the table, so that an interrupted run goes on.
+noise along directions that no motion excites; reduced identification keeps the prior there. The
+prior is the robot with random point masses added or removed. Atlas is read from the folder
+--shared; without it, or with --quick, a small robot of this project is used instead. Finished
+motions are kept beside the table, so that an interrupted run goes on.
 
     python -m diagrams.studies.atlas_identification --json atlas.json --figures figures
 """

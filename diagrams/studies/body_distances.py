@@ -1,7 +1,7 @@
 """How far apart two bodies are, by four measures, in other frames and units.
 
 Euclidean, constant pullback, entropic and Riemannian distance ([Lee2019] §3.3, figures 3.2 to 3.4):
-the last three see what a body is like, the first sees how its numbers are written down.
+the last three depend on the bodies alone, the first on the frame and the units of their numbers.
 
     python -m diagrams.studies.body_distances --json distances.json --figures figures
 """

@@ -1,9 +1,9 @@
 """The leg's bodies, identified with the base fixed, in a gallop of the whole robot.
 
-As in [Lee2019] §3.6.2.2 and figure 3.12: random true legs, torques without noise from the gallop's
-motion of one leg on a fixed base, next to no regularization, equal residuals; then the errors of
-joint torques and of the force and moment on the trunk while the whole robot gallops. Robot and
-motion are ours, see `models/cheetah.dmd.yaml` and `gallop`.
+As in [Lee2019] §3.6.2.2 and figure 3.12: random true legs, noiseless torques of the gallop's motion
+of one leg on a fixed base, almost no regularization, equal residuals; then the errors of joint
+torques and of the force and moment on the trunk while the whole robot gallops. Robot and motion are
+this project's (`models/cheetah.dmd.yaml`, `gallop`).
 
     python -m diagrams.studies.cheetah_gallop --json cheetah_gallop.json --figures figures
 """

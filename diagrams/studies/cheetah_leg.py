@@ -1,12 +1,11 @@
 """A leg like the MIT Cheetah 3's, identified from few samples with every regularizer.
 
-Three links and three geared rotors, as in [Lee2019] §3.6.2.1 and figures 3.10 and 3.11; the model
-is `models/cheetah_leg.urdf`. Torques are those of the parameters that others identified on the
-robot; the leg swings with friction, encoder and torque noise, and is filtered as there. Training
-samples are 5 ms apart, from one stretch of the first ten seconds; the next ten are the test. The
-shorter the stretch, the less it tells: 30 samples scattered over the ten seconds are there to
-compare. All regularizers but the Riemannian one meet the training residual of the entropic one.
-300 point masses are spread over the bodies' ellipsoids, Eq. (3.6.72).
+Three links and three geared rotors (`models/cheetah_leg.urdf`), as in [Lee2019] §3.6.2.1 and
+figures 3.10 and 3.11. Torques are those of the parameters that others identified on the robot; the
+leg swings with friction, encoder and torque noise, filtered as in the source. Training samples are
+5 ms apart, from one stretch of the first ten seconds, or, to compare, 30 samples scattered over
+them; the next ten are the test. All regularizers but the Riemannian one meet the training residual
+of the entropic one. 300 point masses are spread over the bodies' ellipsoids, Eq. (3.6.72).
 
     python -m diagrams.studies.cheetah_leg --json cheetah_leg.json --figures figures
 """

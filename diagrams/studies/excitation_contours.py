@@ -1,12 +1,11 @@
 """A-optimality of a pendulum's motion, seen from other frames and in other units.
 
-One link with one-dimensional mass, [Lee2019] §4.2.3 and figure 4.2. Its motion is
+One link with one-dimensional mass, [Lee2019] §4.2.3 and figure 4.2, moves by
 
     q = A sin 2πt + q₀,   0 ≤ t ≤ 2,
 
 and two base parameters are identifiable, h − m L and I − m L², with the joint at L of the body's
-frame. Which A and q₀ are best depends on the frame and the units, unless the normalization is
-geometric.
+frame. The best A and q₀ depend on frame and units, unless the normalization is geometric.
 
     python -m diagrams.studies.excitation_contours --json contours.json --figures figures
 """

@@ -1,12 +1,11 @@
 """A human on a force plate: inertial parameters by five regularizers with the same residual.
 
 As in [Lee2019] §3.6.3: 16 bodies, 330 samples of the vertical force and the zero-moment point, a
-prior of uniform density, an outer ellipsoid for every body, and a total mass that is known, Eq.
-(3.6.83). γ = α tr(AᵀA) of the Euclidean regularizer sets the residual that all others meet (figure
-3.13). Point masses, Eq. (3.6.84), fill bodies of uniform density evenly.
-
-Errors in N and cm are those of table 3.1. The source's test motions are not public: here blocks of
-consecutive steps, with a gap at both ends, are predicted by fits to all others.
+prior of uniform density, an outer ellipsoid for every body, and a known total mass, Eq. (3.6.83).
+γ = α tr(AᵀA) of the Euclidean regularizer sets the residual that all others meet (figure 3.13).
+Point masses, Eq. (3.6.84), fill bodies of uniform density evenly. Errors in N and cm are those of
+table 3.1. The source's test motions are not public: here blocks of consecutive steps, with a gap at
+both ends, are predicted by fits to all others.
 
     python -m diagrams.studies.human_identification --json human.json --figures figures
 

@@ -1,10 +1,10 @@
 """Motions of a KUKA iiwa designed in four base representations with three normalizations.
 
 [Lee2019] §4.6.2 and table 4.2: Fourier motions of 10 s by E-optimality. With the geometric
-normalization, base parameters may be written down in any way; but rounding may lead the solver
-different ways. Errors are those to be expected, exactly, by the covariance of least squares. The
-iiwa is read from the folder --shared; without it, and with --quick, an arm of our own takes its
-place. Finished designs are kept beside the table, so that an interrupted run goes on.
+normalization the choice of base parameters does not matter, but rounding may lead the solver
+different ways. Errors are expected ones, from the covariance of least squares. The iiwa is read
+from the folder --shared; without it, or with --quick, an arm of this project is used instead.
+Finished designs are kept beside the table, so that an interrupted run goes on.
 
     python -m diagrams.studies.iiwa_excitation --json iiwa.json
 """

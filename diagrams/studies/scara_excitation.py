@@ -1,10 +1,10 @@
 """A payload on a SCARA arm: motions designed in four frames with three normalizations.
 
 [Lee2019] §4.6.1 and table 4.1: 50 free samples minimize the condition number, for the mass, centre
-and moment of inertia of the payload. With the geometric normalization, the optimum is the same in
-every frame, until rounding has made the solver's ways part: some 300 steps along a flat valley,
-hence the limit of iterations. Errors are those to be expected, exactly, by the covariance of
-least squares. Finished designs are kept beside the table, so that an interrupted run goes on.
+and moment of inertia of the payload. With the geometric normalization the optimum is the same in
+every frame, until rounding leads the solver different ways, after some 300 steps along a flat
+valley; hence the limit of iterations. Errors are expected ones, from the covariance of least
+squares. Finished designs are kept beside the table, so that an interrupted run goes on.
 
     python -m diagrams.studies.scara_excitation --json scara.json
 """

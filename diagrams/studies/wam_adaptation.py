@@ -6,14 +6,14 @@ at 1 kHz. The first estimate scales every body by 1 ± σ. Two parts:
 - noise: over σ, two rounds of amplitude 0.8 rad (figure 5.4);
 - rounds: five rounds of growing amplitude at σ = 0.4 (figure 5.5).
 
-With --controllers, adaptive computed torque beside it ([Lee2019] §5.2.1), with the same poles
-(s + λ)². It adapts by the measured acceleration, Eq. (5.2.9), or by the filtered regressor, which
-needs none. The velocity is exact, or has noise; the acceleration is exact.
+--controllers adds adaptive computed torque ([Lee2019] §5.2.1), with the same poles (s + λ)². It
+adapts by the measured acceleration, Eq. (5.2.9), or by the filtered regressor, which needs none.
+The velocity is exact, or has noise; the acceleration is exact.
 
 The Euclidean and the pullback law have a constant gain, for which Euler steps are exact; the
 natural law's are geodesic. The speed γ⁻¹ of each law is chosen by one rule on draws of their own
-(`adaptive/laws.py`, `--choose-gains`), or is the source's (`--gains source`). There is no friction,
-and no limit of joints and efforts, as there.
+(`adaptive/laws.py`, `--choose-gains`), or is the source's (`--gains source`). As in the source,
+there is no friction, and joints and efforts have no limits.
 
     python -m diagrams.studies.wam_adaptation --draws 4 --json wam.json --figures figures
 """

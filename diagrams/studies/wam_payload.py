@@ -1,7 +1,7 @@
 """Adapt an unknown load on the palm of a WAM-like arm, by four laws ([Lee2019] §5.5.2).
 
-The arm is known. The load is thought to be a sphere of 1 kg, and is one of three of 3 kg: a small
-sphere, a rod-like ellipsoid, and an ellipsoid that is off by 9.5 cm. The controller is that of
+The arm is known. The first estimate of the load is a sphere of 1 kg; it is one of three of 3 kg: a
+small sphere, a rod-like ellipsoid, or an ellipsoid that is off by 9.5 cm. The controller is that of
 `wam_adaptation.py`, for five rounds of one motion (figure 5.6). Adaptation speeds γ⁻¹ are the
 source's, or with `--gains rule` chosen by one rule for all laws, on other loads
 (`adaptive/laws.py`, `--choose-gains`). The order of the laws is the source's with its speeds only.

@@ -1,7 +1,7 @@
 """Hidden effects, of geodrake's catalogue and others, without formulas of geodrake.
 
-A truth has its places and a law for its effort; benchmarks choose its size for a share of the
-joint's effort. Laws draw the same random numbers at every call.
+A truth has its places and a law for its effort; benchmarks scale it to a share of the joint's
+effort. A law draws the same random numbers at every call.
 """
 
 from __future__ import annotations

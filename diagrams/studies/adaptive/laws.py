@@ -1,9 +1,9 @@
 """Adaptation laws by name, and how their speeds γ⁻¹ are chosen, by one rule for all.
 
-Of one grid, 1e-5, 3e-5, 1e-4, … 3e3 for every law, the speed of least mean tracking error over
-draws of a seed that no reported draw has, among the speeds at which no draw is lost and V, which
-must not rise, rises by no more than 1 % of its start. The second half is the source's "as large as
-possible without accruing large numerical integration errors" ([Lee2019] §5.5).
+The rule takes, from the grid 1e-5, 3e-5, 1e-4, … 3e3, the speed of least mean tracking error over
+draws that are not reported, among the speeds that lose no draw and let V, which must not rise, rise
+by at most 1 % of its start. The second half is the source's "as large as possible without accruing
+large numerical integration errors" ([Lee2019] §5.5).
 """
 
 from __future__ import annotations

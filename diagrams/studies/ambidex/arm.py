@@ -2,9 +2,8 @@
 
     τ = Jᵀ Γ(θ, θ̇, θ̈) Φ + diag(q̈) I_r + diag(sign q̇) f_c + diag(q̇) f_v     [Lee2019] Eq. (3.6.57)
 
-Each rotor is a body as well, of which its balanced turning on a fixed axis shows I_zz = I_r alone.
-So the regularizers treat it like a link, and 59 points a link and 9 a rotor make the 653 point
-masses of the source.
+Each rotor is also a body. As it is balanced and its axis fixed, only I_zz = I_r shows. Regularizers
+treat it like a link; 59 points a link and 9 a rotor are the source's 653 point masses.
 """
 
 from __future__ import annotations
