@@ -32,7 +32,7 @@ from geodrake.diagnosis.refinements import (
     other_choices,
 )
 from geodrake.diagnosis.search_progress import FoundStep, Progress, progress_of
-from geodrake.diagnosis.terms import Term
+from geodrake.diagnosis.terms import Key, Term
 from geodrake.diagnosis.turned_base import turned_bases
 from geodrake.diagnosis.unknown_efforts import is_resolved, reversals, unknown_functions
 from geodrake.effects import Effect
@@ -171,15 +171,22 @@ class Search:
     def _better_of_direct_climb(self, other: Search) -> Search:
         """Climb from the start with all effects at once; return the better search.
 
-        Common effects that come first may prevent a rare one.
+        Common effects that come first may prevent a rare one. If the climb leads to the same
+        effects, with bodies close to the file, the rest of it is omitted.
         """
         other._climb(optimistic=True)
+        is_near = other.fit.choice.width <= other.model.wrong_beyond
+        if is_near and self._keys == other._keys and not self._is_worse_than(other):
+            return self
         other._climb(optimistic=False)
         other._try_bodies_near_file()
+        return other if self._is_worse_than(other) else self
+
+    def _is_worse_than(self, other: Search) -> bool:
         fewer = np.minimum(self.model.shares(self.fit), other.model.shares(other.fit))
-        if other._evidence(fewer) <= self._evidence(fewer):
-            return self
-        return other if other._held_out_score(fewer) > self._held_out_score(fewer) else self
+        return other._evidence(fewer) > self._evidence(fewer) and other._held_out_score(
+            fewer
+        ) > self._held_out_score(fewer)
 
     def _evidence(self, shares: Array) -> float:
         """Return the evidence of the explanation with effective samples per row (nv,)."""
@@ -512,6 +519,10 @@ class Search:
     @property
     def _names(self) -> Names:
         return _names_of(self.fit)
+
+    @property
+    def _keys(self) -> set[Key]:
+        return {term.key for term in self.fit.terms}
 
     def _doubtful_joints(self) -> set[str]:
         """Return joints with more than noise left, or with a finding at their motors."""
