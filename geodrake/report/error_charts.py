@@ -250,7 +250,7 @@ def step_bars(explanation: Explanation, joints: Collection[str]) -> Bars:
     """Return the held-out nrms after each step; `joints` are all at which an effect may act."""
     errors = [
         ("the model as it stands", BEFORE, explanation.start.nrms),
-        ("refitted without a new effect", _END, explanation.refitted.nrms),
+        ("refitted, nothing added", _END, explanation.refitted.nrms),
     ]
     for step in explanation.steps:
         words = f"+ {effect_label(step.effect)}, {step_place(step, joints, most=3)}"

@@ -333,8 +333,8 @@ def explanation_page(found: Explanation, about: About) -> Page:
             ),
             Section(
                 REST,
-                more="Shares of the remaining error of a joint on held-out data.",
-                items=tuple(map(words.correlate_words, correlates)),
+                "Signals that predict a share of the remaining squared error of a joint.",
+                tables=(correlates_table(correlates),),
                 deep=draft is None,
             ),
             *([_draft_section(draft, units)] if draft else []),
@@ -628,12 +628,18 @@ def failing_table(comparison: Comparison, title: str = "") -> Table:
     return Table(head, rows, words=2, title=title, deep=("of squared error", "of samples"))
 
 
+def correlates_table(correlates: Sequence[Correlate]) -> Table:
+    """Return the signals with which the remaining error varies."""
+    rows = [cells(each.joint, each.words, percent(each.share)) for each in correlates]
+    return Table(("joint", "varies with", "share"), rows, words=2)
+
+
 def steps_table(explanation: Explanation, units: Units) -> Table:
     """Return the steps with places, parameters, errors and probabilities."""
     rest = [""] * 4
     rows = [
         cells("the model as it stands", "", "", explanation.start.nrms, *rest),
-        cells("its inertias refitted", "", "", explanation.refitted.nrms, *rest),
+        cells("refitted, nothing added", "", "", explanation.refitted.nrms, *rest),
     ]
     for step in explanation.steps:
         rows.append(

@@ -8,7 +8,6 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from geodrake.boundary.escaping import printable
-from geodrake.diagnosis.drafting import Correlate
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
 from geodrake.diagnosis.search_progress import FoundStep
 from geodrake.effects import catalogue
@@ -39,11 +38,6 @@ def listed(names: Sequence[str], last: str = "and") -> str:
 def capitalized(words: str) -> str:
     """Return words with a capital first letter."""
     return words[:1].upper() + words[1:]
-
-
-def in_words(share: float) -> str:
-    """Return a share in percent, for use in a sentence."""
-    return percent(share).replace(">", "more than").replace("<", "less than")
 
 
 def effect_label(name: str) -> str:
@@ -177,13 +171,6 @@ def rivals(step: Step) -> str:
 def worst_joint(errors: ErrorTable) -> JointError:
     """Return the joint of largest nrms; NaN counts as the largest."""
     return max(errors.joints, key=lambda joint: np.nan_to_num(joint.nrms, nan=np.inf))
-
-
-def correlate_words(found: Correlate) -> str:
-    """Return a correlate of a joint's remaining error, in a sentence."""
-    return (
-        f"{found.joint}: {in_words(found.share)} of the remaining error varies with {found.words}."
-    )
 
 
 def explained_share(before: float, after: float) -> float:
