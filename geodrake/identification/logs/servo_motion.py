@@ -49,7 +49,7 @@ RATE, DAMPING, COULOMB, ARMATURE, DELAY, OFFSET, LOAD, INTEGRAL = 1, 2, 3, 4, 5,
 DEAD_BAND, LIMIT, SHARE, BEGUN = 9, 10, 11, 12
 """Indices into a servo array; stiffness is the first."""
 
-_STEPS, _LONGEST_STEP = 4, 5.6e-3  # least number of steps between two rows, longest step, s
+_STEPS, _LONGEST_STEP = 4, 5e-3  # least number of steps between two rows, longest step, s
 _THETA = 0.55  # of the theta method: fraction of a step at which forces are evaluated
 _FAR = 1e3  # largest distance from the measured motion, rad or m, so that squares stay finite
 
