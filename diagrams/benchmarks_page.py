@@ -32,7 +32,7 @@ PAGE = HERE.parent / "docs" / "benchmarks.md"
 
 
 def shown(value: Any) -> Any:
-    """Return a number as the page has it: whole ones in full, others in two digits."""
+    """Format a number for the page: integers in full, others with two digits."""
     if isinstance(value, float) and value:
         number = float(f"{value:.2g}")
         return f"{number:,.0f}" if abs(number) >= 10 else f"{number:#.2g}".replace("e-0", "e-")
@@ -40,24 +40,24 @@ def shown(value: Any) -> Any:
 
 
 def where(rows: Iterable[Mapping[str, Any]], *pairs: Any) -> list[Mapping[str, Any]]:
-    """Return the rows that have a value of a column, or several in turn."""
+    """Return the rows with a value of a column, or of several."""
     wanted = list(zip(pairs[::2], pairs[1::2], strict=True))
     return [row for row in rows if all(row[name] == value for name, value in wanted)]
 
 
 def hits(line: Mapping[str, Any]) -> int:
-    """Return in how many logs a line of shares (`benchmarks/simulated/scoring.py`) came true."""
+    """Return the number of successes of a line of shares (`benchmarks/simulated/scoring.py`)."""
     return round(line["value"] * line["logs"])
 
 
 def of(count: int, total: int) -> str:
-    """Return how many of how many, with the 95 % interval of the share."""
+    """Format "3 of 4" with the 95 % interval of the share."""
     interval = binomtest(count, total).proportion_ci(0.95, "wilson")
     return f"{count} of {total} ({100 * interval.low:.0f}–{100 * interval.high:.0f} %)"
 
 
 def environment() -> Environment:
-    """Return what reads expressions, and the template; a name that is not there is an error."""
+    """Return the Jinja environment, with errors for unknown names, and the template."""
     made = Environment(
         loader=FileSystemLoader(HERE),
         undefined=StrictUndefined,
@@ -80,7 +80,7 @@ def read(run: Mapping[str, Any], table: Any) -> dict[str, Any]:
 
 
 def made_page(runs: Mapping[str, Any]) -> str:
-    """Return the page, which may use each run's figures by name and its command, and all days."""
+    """Return the page, in which runs have their figures by name, their commands and days."""
 
     def day_of(name: str) -> str:
         return str(runs[name]["measured"])
@@ -113,7 +113,7 @@ def main() -> None:
 
 
 def keep(runs: dict[str, Any], name: str, folder: Path) -> None:
-    """Put the figures that a benchmark wrote into the file of all."""
+    """Save the figures of a benchmark in `benchmarks.json`."""
     table = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
     runs[name] = read(runs[name], table)
     text = json.dumps(runs, indent=1, ensure_ascii=False)

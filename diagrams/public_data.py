@@ -42,7 +42,7 @@ _ABOUT: Mapping[str, str] = {
 
 
 def installed_model(path: str) -> Path:
-    """Return where the package `example-robot-data` has a model file, if it is installed."""
+    """Return the path of a model file of `example-robot-data`, if it is installed."""
     folder = Path("example-robot-data") / "robots"
     try:
         package = distribution("example-robot-data")

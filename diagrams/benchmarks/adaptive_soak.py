@@ -101,7 +101,7 @@ def make_robot() -> RobotModel:
 
 
 def make_plant() -> MultibodyPlant:
-    """Return the same, with friction as Drake's own damping, which takes a fraction of the time."""
+    """Return the plant, with friction as Drake's damping, which is much faster."""
     plant = MultibodyPlant(0.0)
     on_its_base(MODEL, "base_link", plant, damping=DAMPING)
     plant.Finalize()
@@ -109,7 +109,7 @@ def make_plant() -> MultibodyPlant:
 
 
 def draw_episodes(duration: float, rng: np.random.Generator) -> list[Episode]:
-    """Return all faults in a random order, again and again, at random times."""
+    """Return endless random faults at random times."""
     episodes, queue, t = list[Episode](), list[str](), float(rng.uniform(*GAP))
     while t + LASTS + RECOVERS < duration:
         queue = queue or list(rng.permutation(FAULTS))
@@ -189,7 +189,7 @@ def judge(found: Record, episodes: Sequence[Episode], control: ControlModel) -> 
 
 
 def distances(control: ControlModel, estimates: Array) -> Array:
-    """Return geodesic distances (N,) of estimates from the truth, bodies and effects together."""
+    """Return geodesic distances (N,) of estimates, bodies and effects together, from the truth."""
     bodies = control.num_inertial
     truth = pseudo_inertia(control.phi(control.prior))
     phi = estimates[:, :bodies].reshape(len(estimates), -1, 10)
@@ -200,7 +200,7 @@ def distances(control: ControlModel, estimates: Array) -> Array:
 
 
 def resident() -> float:
-    """Return memory of this process, MB, without what is to be collected."""
+    """Return the memory of this process, MB, after garbage collection."""
     gc.collect()
     lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
     return int(next(line for line in lines if line.startswith("VmRSS")).split()[1]) / 1024.0
@@ -221,7 +221,7 @@ def main() -> None:
 
 
 def worst(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the worst numbers of each fault, over controllers and times."""
+    """Return each fault's worst numbers over controllers and times."""
     each = [line for row in rows for line in row["by_fault"]]
     return [
         {"fault": name}

@@ -68,7 +68,7 @@ class Arm:
 
     @cached_property
     def control(self) -> ControlModel:
-        """The arm as a controller sees it."""
+        """The arm as the controller knows it."""
         return ControlModel.of(self.model)
 
     @cached_property
@@ -116,7 +116,7 @@ def closed_loop(arm: Arm) -> tuple[Diagram, Context]:
 
 
 def plant_alone(arm: Arm) -> tuple[Diagram, Context]:
-    """Return the plant that falls by itself."""
+    """Return the plant without a controller, in free fall."""
     builder = DiagramBuilder()
     plant = builder.AddSystem(arm.plant())
     diagram = builder.Build()
@@ -158,7 +158,7 @@ def estimator(arm: Arm, duration: float) -> tuple[Diagram, Context]:
 
 
 def cpu_times(made: tuple[Diagram, Context], duration: float) -> list[float]:
-    """Return CPU seconds a simulated second of every piece, after a tenth to warm up."""
+    """Return CPU seconds a simulated second of every piece, after a warm-up of a tenth."""
     simulator = Simulator(*made)
     simulator.Initialize()
     simulator.AdvanceTo(0.1)
@@ -181,7 +181,7 @@ def measure(arm: Arm, *, duration: float, repeats: int) -> dict[str, list[float]
 
 
 def summary(times: dict[str, list[float]]) -> dict[str, Any]:
-    """Return the answers, of the fastest tenth of all pieces (undisturbed) and of the median."""
+    """Return the answers by the fastest tenth of all pieces (undisturbed) and by the median."""
     table: dict[str, Any] = {}
     for name, share in (("undisturbed", 0.1), ("median", 0.5)):
         cost = {key: float(np.quantile(values, share)) for key, values in times.items()}
@@ -196,7 +196,7 @@ def summary(times: dict[str, list[float]]) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Measure, print, and write what was asked for."""
+    """Measure, print and write."""
     options = script_parser(__doc__, "a short run, once").parse_args()
     duration, repeats = (0.05, 1) if options.quick else (2.0, 7)
     arm = Arm.load(options.seed)

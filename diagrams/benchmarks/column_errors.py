@@ -87,7 +87,7 @@ RATE, DURATION = 125.0, 20.0  # 1/s, s
 
 @dataclass(frozen=True)
 class WrongLog:
-    """What is drawn."""
+    """A log with a mistake in its columns."""
 
     mistake: str  # a name in `MISTAKES`, or in `RIGHT` where nothing is wrong
     robot: str
@@ -100,7 +100,7 @@ class WrongLog:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A robot's motion, and what its joints' efforts are made of, (N, n) each."""
+    """A robot's motion, and the parts of its efforts, (N, n) each."""
 
     seen: Seen  # its load is that of the bodies
     weight: Array  # efforts that hold the bodies against gravity
@@ -124,7 +124,7 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Secret:
-    """What is wrong, as geodrake is to name it: kind, joints (none for all) and value."""
+    """The mistake that geodrake should name: kind, joints (none for all) and value."""
 
     kind: str
     joints: tuple[int, ...]
@@ -138,7 +138,7 @@ Wrong = Callable[[JointLog, Motion, Generator], Found]
 def _at_joint(
     quantities: tuple[str, ...], kind: str, factor: Callable[[Generator], float]
 ) -> Wrong:
-    """Return one joint's columns multiplied."""
+    """Multiply one joint's columns."""
 
     def wrong(columns: JointLog, motion: Motion, rng: Generator) -> Found:
         j, by = int(rng.integers(motion.weight.shape[1])), factor(rng)
@@ -151,7 +151,7 @@ def _at_joint(
 
 
 def _swapped(quantities: tuple[str, ...], kind: str) -> Wrong:
-    """Return two joints' columns swapped."""
+    """Swap two joints' columns."""
 
     def wrong(columns: JointLog, motion: Motion, rng: Generator) -> Found:
         i, j = sorted(rng.choice(motion.weight.shape[1], 2, replace=False).tolist())
@@ -164,9 +164,9 @@ def _swapped(quantities: tuple[str, ...], kind: str) -> Wrong:
 
 
 def _other_zero(columns: JointLog, motion: Motion, rng: Generator) -> Found:
-    """Return a joint whose position is counted from elsewhere.
+    """Shift the zero of a joint's position.
 
-    Not the first one, of which that is a turned base, nor the last, of which it is a turned body.
+    The first joint would only turn the base, and the last one the body.
     """
     n = motion.weight.shape[1]
     j = int(rng.integers(1, n - 1)) if n > 2 else n - 1
@@ -177,7 +177,7 @@ def _other_zero(columns: JointLog, motion: Motion, rng: Generator) -> Found:
 
 
 def _taken_out(part: str, kind: str) -> Wrong:
-    """Return a part of the efforts that the drives do not report."""
+    """Remove a part of the efforts, as drives that do not report it."""
 
     def wrong(columns: JointLog, motion: Motion, rng: Generator) -> Found:
         del rng
@@ -187,13 +187,13 @@ def _taken_out(part: str, kind: str) -> Wrong:
 
 
 def _motor_side(columns: JointLog, motion: Motion, rng: Generator) -> Found:
-    """Return torques of the motors in place of those of the joints."""
+    """Replace joint torques by motor torques."""
     del rng
     return replace(columns, effort=columns.effort / motion.ratios), (Secret("effort_gains", ()),)
 
 
 def _limited(falling: bool) -> Wrong:
-    """Return efforts that were asked for of a motor that cannot give them, but holds the robot."""
+    """Replace efforts by requested ones that a motor cannot give, while it holds the robot."""
 
     def wrong(columns: JointLog, motion: Motion, rng: Generator) -> Found:
         share = rng.uniform(1.3, 2.0) if falling else np.inf
@@ -220,7 +220,7 @@ def _limited(falling: bool) -> Wrong:
 
 
 def _all_times(quantities: tuple[str, ...], kind: str, values: tuple[float, ...]) -> Wrong:
-    """Return all columns of some quantities multiplied."""
+    """Multiply all columns of some quantities."""
 
     def wrong(columns: JointLog, motion: Motion, rng: Generator) -> Found:
         del motion
@@ -232,7 +232,7 @@ def _all_times(quantities: tuple[str, ...], kind: str, values: tuple[float, ...]
 
 
 def _two(first: Wrong, second: Wrong) -> Wrong:
-    """Return two mistakes at once."""
+    """Make two mistakes at once."""
 
     def wrong(columns: JointLog, motion: Motion, rng: Generator) -> Found:
         columns, one = first(columns, motion, rng)
@@ -283,7 +283,7 @@ RIGHT = ("as it is", "payload", "tilted base", "bodies far off", "spring", "load
 
 
 def make_log(draw: WrongLog) -> tuple[RobotModel, JointLog, tuple[Secret, ...]]:
-    """Return the model file's robot, the log of a draw, and what is wrong with its columns."""
+    """Return the robot of the model file, the log of a draw, and the mistake in its columns."""
     key = f"{draw.mistake} {draw.robot} {draw.engine} {draw.motion}"
     seeds = np.random.SeedSequence([draw.seed, number_of(key), draw.number]).spawn(4)
     on_robot, on_motion, on_mistake, on_noise = map(np.random.default_rng, seeds)
@@ -313,7 +313,7 @@ def make_log(draw: WrongLog) -> tuple[RobotModel, JointLog, tuple[Secret, ...]]:
 
 
 def _moved(draw: WrongLog, engine: Engine, on_robot: Generator, on_motion: Generator) -> Motion:
-    """Return a motion of a robot that is not that of its file, with friction and rotors."""
+    """Return a motion of a robot that differs from its file, with friction and rotors."""
     file = engine.bodies()
     off = 3.0 * OFF if draw.mistake == "bodies far off" else OFF
     bodies = congruent(file, off, on_robot)
@@ -385,7 +385,7 @@ def run_draw(draw: WrongLog) -> dict[str, Any]:
 
 
 def draws(count: int, seed: int) -> list[WrongLog]:
-    """Return so many logs of everything, over all robots, engines and motions in turn.
+    """Return `count` logs of every mistake, with robots, engines and motions in turn.
 
     A pendulum has no joint between others: another zero of its joints is a slope, or a body that
     has turned.
@@ -409,7 +409,7 @@ def draws(count: int, seed: int) -> list[WrongLog]:
 
 
 def lines_of(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return a line of the table for each mistake."""
+    """Return a report line for each mistake."""
     found = []
     for mistake in dict.fromkeys(row["mistake"] for row in rows):
         own = [row for row in rows if row["mistake"] == mistake]

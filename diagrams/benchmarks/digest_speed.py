@@ -47,7 +47,7 @@ def swinging(model: RobotModel, rate: float, seconds: float, pace: float, seed: 
 def measure(
     model: RobotModel, rate: float, pace: float, *, seconds: float, times: int, seed: int
 ) -> dict[str, Any]:
-    """Measure digests of two logs, of some seconds at some Hz, and readings of them.
+    """Measure digests and readings of two logs.
 
     "reading" opens the same log with all candidates; "merged" is `merged_difference`.
     """
@@ -107,7 +107,7 @@ def merged_difference(
 
 
 def main() -> None:
-    """Measure, print, and write what was asked for."""
+    """Measure, print and write."""
     options = script_parser(__doc__, "one short log of two joints").parse_args()
     name, cases = "arm7", [(100.0, 1.0), (500.0, 1.0), (1000.0, 3.0)]
     how = {"seconds": 60.0, "times": 3, "seed": options.seed}

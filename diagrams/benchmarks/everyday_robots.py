@@ -62,7 +62,7 @@ _RATES = (50.0, 100.0, 125.0, 250.0, 500.0)
 
 @dataclass(frozen=True)
 class Draw:
-    """A robot and what is drawn for it from a seed."""
+    """A robot and the seed of its random conditions."""
 
     robot: str
     number: int
@@ -73,7 +73,7 @@ class Draw:
 
 @cache
 def arm(name: str) -> RobotFile:
-    """Return the file of an arm, all other joints held."""
+    """Return the file of an arm, with all other joints held."""
     file = robot_file(name)
     if name not in _PARTS:
         return file
@@ -82,7 +82,7 @@ def arm(name: str) -> RobotFile:
 
 
 def make_recording(draw: Draw) -> tuple[Recording, dict[str, Any]]:
-    """Return the logs of a draw with their truth, and the conditions that were drawn."""
+    """Return the logs of a draw with their truth, and the random conditions."""
     rng, file = np.random.default_rng([draw.seed, draw.number]), arm(draw.robot)
     kind = str(rng.choice(ENGINES)) if draw.robot not in _THIN else "pinocchio"
     engine, model = make_engine(kind, file), file.model
@@ -121,7 +121,7 @@ def make_recording(draw: Draw) -> tuple[Recording, dict[str, Any]]:
 
 
 def _spoiled(recording: Recording, draw: Draw, limits: Array, drawn: dict[str, Any]) -> Recording:
-    """Return a recording with faults, which are told by what was drawn."""
+    """Return a recording with the faults of its conditions."""
     rng = np.random.default_rng([draw.seed, draw.number, len(FAULTS)])
     chosen = rng.choice([*FAULTS], int(rng.integers(1, 4)), replace=False)
     drawn["faults"] = faults = tuple(map(str, chosen))
@@ -148,7 +148,7 @@ def _measured(
     drive: tuple[float, Array],  # samples a second, limits of efforts (n,)
     rng: Generator,
 ) -> tuple[tuple[JointLog, ...], float]:
-    """Return what sensors make of motions and efforts, and their noise as a share of efforts."""
+    """Return measured motions and efforts, and their noise as a share of efforts."""
     rate, limits = drive
     gains = 1.0 + float(rng.choice((0.0, 0.01, 0.02))) * rng.normal(size=len(limits))
     noise, memory = float(between((0.004, 0.03), rng)), float(rng.uniform(0.005, 0.03))
@@ -164,14 +164,14 @@ def _measured(
 
 
 def score_draw(draw: Draw) -> dict[str, Any]:
-    """Return a row of the table: the draw, what it hid, what was named, and what of it is right."""
+    """Return the row of a draw: its truth, the named effects, and which are right."""
     recording, drawn = make_recording(draw)
     row = {**asdict(draw), **drawn, "hidden": recording.hidden, "mass": recording.mass}
     return row | explained(arm(draw.robot).model, recording, is_off=drawn["off"] > 0.0)
 
 
 def lines_of(rows: Sequence[Row]) -> list[Line]:
-    """Return all lines."""
+    """Return all report lines."""
     tools = [row for row in rows if row["mass"]]
     found = [row for row in tools if "found_mass" in row]
     seconds = [row["seconds"] for row in rows if not row["failed"]]

@@ -23,7 +23,7 @@ from geodrake.model import RobotModel
 
 
 def measure(model: RobotModel, *, samples: int, modes: int, seed: int, repeats: int) -> Any:
-    """Return CPU times, s, of one evaluation, and of the same slopes by finite differences."""
+    """Return CPU times, s, of one evaluation, and of its gradient by finite differences."""
     motion, bounds = family(modes), limits(model)
     options = DesignOptions(samples=samples, rest=False, quick=False)
     target = make_target(model, noise=NOISE)

@@ -49,7 +49,7 @@ _FAR = 0.2  # m, beyond which distances do not matter here
 
 @dataclass(frozen=True)
 class Checked:
-    """What Pinocchio says of a motion, and geodrake of its search."""
+    """Pinocchio's check of a motion, and geodrake's numbers of its search."""
 
     arm: str
     joints: int
@@ -68,14 +68,14 @@ class Checked:
 
     @property
     def is_safe(self) -> bool:
-        """Whether nothing collides and all margins are kept, to what sampling can tell."""
+        """Whether nothing collides and all margins are kept, up to errors of sampling."""
         clear = min(self.distance, self.height) >= CLEARANCE - 1e-3
         shares = self.position <= 1.0 and self.velocity <= MARGIN + 1e-3 and self.effort <= 1.0
         return clear and shares and self.slope < 1e-2
 
 
 def excited(path: Path, folder: Path, options: Sequence[str]) -> tuple[dict[str, Any], Any, float]:
-    """Run the command, and return its numbers, the table it saved, and its CPU time, s."""
+    """Run the command, and return its numbers, its table, and its CPU time, s."""
     numbers, motion = folder / "numbers.json", folder / "motion.csv"
     files = ["--json", str(numbers), "--save", str(motion), "--rate", f"{RATE:g}"]
     command = [sys.executable, "-m", "geodrake", "excite", str(path), *files, *options]
@@ -162,7 +162,7 @@ def distances(robot: pin.Model, path: Path, q: Array, notes: Sequence[str]) -> t
 
 
 def neighbours(path: Path) -> set[frozenset[str]]:
-    """Return pairs of links that a joint connects, or that are welded together."""
+    """Return pairs of links that are welded together or connected by a joint."""
     group, pairs = dict[str, str](), list[tuple[str, str]]()
     for joint in ElementTree.parse(path).getroot().iter("joint"):
         ends = [getattr(joint.find(end), "attrib", {}).get("link") for end in ("parent", "child")]

@@ -33,7 +33,7 @@ WORKER, RUN = "a worker", "the run"
 
 @dataclass(frozen=True)
 class KilledRun:
-    """What came of a run in which something was killed."""
+    """Result of a run in which something was killed."""
 
     killed: str
     there: int  # digests that were there at that moment
@@ -43,7 +43,7 @@ class KilledRun:
 
 @dataclass
 class Digests:
-    """The digests of a run, looked at again and again."""
+    """The digests of a run, counted again and again."""
 
     folder: Path
     # File -> what changes if it is written again.
@@ -51,7 +51,7 @@ class Digests:
     again: int = 0
 
     def look(self) -> int:
-        """Return how many there are now."""
+        """Return their present number."""
         folders = self.folder.glob("*/digests")
         for path in (file for folder in folders for file in digest_files(folder)):
             stat = path.stat()
@@ -62,7 +62,7 @@ class Digests:
 
 
 def begin(path: Path) -> subprocess.Popen[bytes]:
-    """Return a run of the command."""
+    """Start the command."""
     more = ("--workers", "2", "--json", str(path.parent / "fleet.json"), "-q")
     command = [sys.executable, "-m", "geodrake", "fleet", str(path), *more]
     return subprocess.Popen(command, stdout=subprocess.DEVNULL)
@@ -71,10 +71,10 @@ def begin(path: Path) -> subprocess.Popen[bytes]:
 def follow(
     run: subprocess.Popen[bytes], digests: Digests, kill: Callable[[int], bool] | None = None
 ) -> None:
-    """Look at digests until a run ends; `kill` is called with their number until it is true.
+    """Count digests until a run ends; call `kill` with their number until it returns true.
 
     Raises:
-        SystemExit: The run failed of itself.
+        SystemExit: The run failed on its own.
     """
     while run.poll() is None:
         there = digests.look()
@@ -87,7 +87,7 @@ def follow(
 
 
 def killed_run(path: Path, expected: bytes, what: str, after: int) -> KilledRun:
-    """Return one run in which something is killed, and what is needed to bring it to its end."""
+    """Return the result of one run in which something is killed, continued to its end."""
     shutil.rmtree(path.parent / "results", ignore_errors=True)
     (path.parent / "fleet.json").unlink(missing_ok=True)
     digests, at = Digests(path.parent / "results"), []

@@ -34,7 +34,7 @@ CASES, SHORT = [(4, 100, 12.0, 1), (4, 100, 12.0, 2)], [(3, 4, 4.0, 0)]
 
 
 def friction(log: JointLog, robot: int, day: int) -> Array:
-    """Return friction (N, nv) of a log, N·m: robots differ, and the days of each, by seeds."""
+    """Return friction (N, nv) of a log, N·m; seeds tell robots and days apart."""
     n, v = len(log.joints), np.gradient(log.position, 1.0 / RATE, axis=0)
     own, of_day = (
         np.exp(share * np.random.default_rng([seed, 7]).normal(size=(2, n)))
@@ -47,7 +47,7 @@ def friction(log: JointLog, robot: int, day: int) -> Array:
 def write_logs(
     folder: Path, name: str, *, robots: int, logs: int, seconds: float, seed: int
 ) -> Path:
-    """Write the logs of a fleet, each of some seconds, and return its file."""
+    """Write the logs of a fleet, and return its file."""
     path = MODELS / f"{name}.urdf"
     model, names = load_model(path), [f"robot_{k}" for k in range(robots)]
     for k, robot in enumerate(names):
@@ -65,7 +65,7 @@ def write_logs(
 
 
 def measure(path: Path, logs: int, length: float, workers: int) -> dict[str, Any]:
-    """Measure one run of a fleet whose digests are not made, s, and "again" of what it left."""
+    """Measure one run of a fleet without digests, s, and "again" with them."""
     fleet, work, times = read_fleet(path), FleetWork(workers=workers), [time.monotonic()]
     for _ in range(2):
         run_fleet(fleet, work)
@@ -76,7 +76,7 @@ def measure(path: Path, logs: int, length: float, workers: int) -> dict[str, Any
 
 
 def main() -> None:
-    """Measure, print, and write what was asked for."""
+    """Measure, print and write."""
     options = script_parser(__doc__, "few short logs of two joints").parse_args()
     name, cases = ("double_pendulum", SHORT) if options.quick else ("arm7", CASES)
     costs = []

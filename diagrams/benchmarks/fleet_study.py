@@ -42,7 +42,7 @@ from geodrake.fleet.type_columns import RAMP, STEP
 
 
 def study(folder: Path, draws: Sequence[FleetDraw], jobs: int) -> tuple[FleetResult, float]:
-    """Return what is found in a fleet, and how long that took on the clock, s."""
+    """Return the findings of a fleet, and the wall time, s."""
     made = finished(partial(write_logs, folder=folder), draws, jobs)
     for _ in track(made, "logs", len(draws), transient=True):
         pass
@@ -67,9 +67,9 @@ DAYS_OFF = 2.0
 
 
 def robot_row(draw: FleetDraw, found: Sequence[FleetFinding]) -> dict[str, Any]:
-    """Return a row of the table: one robot, what was hidden, and what was found.
+    """Return the row of a robot: the hidden change and the findings.
 
-    A finding is right that has the effect, joint or body, kind and day of what was hidden.
+    A finding is right if it has the effect, joint or body, kind and day of the change.
     """
     hidden, model = draw.change, type_file(draw.kind).model
     row = {

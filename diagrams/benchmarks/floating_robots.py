@@ -40,7 +40,7 @@ from geodrake.model.robot_model import load_description
 
 
 def score_draw(draw: legged.Draw) -> dict[str, Any]:
-    """Return a row of the table: the draw, what was named, and what of it is right."""
+    """Return the row of a draw: the named effects, and which are right."""
     with TemporaryDirectory() as folder:
         recording = legged.simulate(draw, Path(folder))
         row = {
@@ -76,7 +76,7 @@ def score_draw(draw: legged.Draw) -> dict[str, Any]:
 def _said(
     command: str, recording: legged.Recording, folder: Path
 ) -> tuple[dict[str, Any] | None, float, str]:
-    """Return what a command writes as JSON, None where it fails; its CPU time, and its error."""
+    """Return a command's JSON (None if it fails), its CPU time, and its error."""
     path = folder / f"{command}.json"
     began = cpu_clock()
     run = subprocess.run(
@@ -95,7 +95,7 @@ def _said(
 
 
 def truth_of(draw: legged.Draw, recording: legged.Recording) -> Places:
-    """Return the names that are right, with the places where they are."""
+    """Return the right names with their places."""
     secret = recording.secret
     if draw.hidden == legged.FOOT and secret.offset is not None:
         model = load_description(recording.model, floating=True)
@@ -110,15 +110,15 @@ def truth_of(draw: legged.Draw, recording: legged.Recording) -> Places:
 
 
 def _share(errors: Mapping[str, float], deviations: Mapping[str, float]) -> float | None:
-    """Return the root mean square over joints of held-out errors over deviations of efforts."""
+    """Return the RMS over joints of held-out errors, relative to deviations of efforts."""
     squares = [(errors[joint] / deviations[joint]) ** 2 for joint in deviations if joint in errors]
     return math.sqrt(sum(squares) / len(squares)) if squares else None
 
 
 def _of_deviations(compared: Mapping[str, Any], joints: Collection[str]) -> float | None:
-    """Return the root mean square over joints of errors over deviations in the same rows.
+    """Return the RMS over joints of errors, relative to deviations in the same rows.
 
-    Where forces at feet are unknown, those are the rows of limbs in the air.
+    Where forces at feet are unknown, these are the rows of limbs in the air.
     """
     squares = [of["nrms"] ** 2 for joint, of in compared["joints"].items() if joint in joints]
     return math.sqrt(sum(squares) / len(squares)) if squares else None
@@ -128,7 +128,7 @@ _EXACT = 1e-9
 
 
 def lines_of(rows: Sequence[Row]) -> list[Line]:
-    """Return all lines."""
+    """Return all report lines."""
     hiding = [row for row in rows if row["hidden"] != legged.QUIET]
     quiet = [row for row in rows if row["hidden"] == legged.QUIET]
     loads = [row for row in rows if row["hidden"] == legged.PAYLOAD]

@@ -80,7 +80,7 @@ class Draw:
 
 
 def draw(case: str, hidden: Sequence[str], number: int, seed: int, **fixed: object) -> Draw:
-    """Return a random draw of a case; `fixed` has the fields that are not left to chance."""
+    """Return a random draw of a case, except for the `fixed` fields."""
     words = f"{case} {' '.join(hidden)}"
     rng = np.random.default_rng([seed, engines.number_of(words), number])
     least = _LEAST_OF_TWO if len(hidden) > 1 else LEAST_SHARE
@@ -102,7 +102,7 @@ def draw(case: str, hidden: Sequence[str], number: int, seed: int, **fixed: obje
 
 
 def pair(number: int, seed: int) -> tuple[str, str]:
-    """Return two effects that may come together."""
+    """Return a random pair of compatible effects."""
     rng = np.random.default_rng([seed, 2, number])
     names = [name for name, truth in truths.TRUTHS.items() if not truth.alone]
     first, second = rng.choice(names, 2, replace=False)
@@ -166,7 +166,7 @@ Those of coverage are large enough to be found, and have one of no catalogue bes
 def study_draws(
     study: str, draws: int, seed: int, *, effects: Sequence[str] = (), **fixed: object
 ) -> list[Draw]:
-    """Return the draws of a study, so many logs for each of its effects or of some."""
+    """Return a study's draws, `draws` logs for each of its effects or of some."""
     case, names, sure = STUDIES[study]
     found = []
     for at, name in enumerate(effects or names):
@@ -198,7 +198,7 @@ _RUBBING = 0.08
 
 @dataclass(frozen=True, eq=False)
 class Secret:
-    """What a log hides."""
+    """A hidden effect."""
 
     name: str
     where: tuple[str, ...]  # joints or body that are to be named; none for one of the whole robot
@@ -211,7 +211,7 @@ class Secret:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A log with its secrets."""
+    """A log and its hidden effects."""
 
     log: JointLog
     secrets: tuple[Secret, ...]  # what it hides
@@ -266,7 +266,7 @@ def _rubbing(seen: truths.Seen, sizes: engines.Array) -> engines.Array:
 def _measured(
     draw: Draw, seen: truths.Seen, effort: engines.Array, rng: engines.Generator
 ) -> JointLog:
-    """Return what sensors make of it."""
+    """Return measurements of the motion and its efforts."""
     memory = partial(between, TIME_CONSTANTS) if draw.colour == truths.COLOURED else None
     sensors = Sensors(draw.noise, _ENCODER, _TACHO, memory=memory)
     return sensors.log(f"{draw.robot} {draw.number}", seen, effort, rng, effort_uncertainty=0.0)
@@ -303,7 +303,7 @@ def _sites(
 def _hide(
     kind: truths.Truth, site: truths.Site, wanted: float, seen: truths.Seen, bodies: tuple[str, ...]
 ) -> tuple[engines.Array, Secret]:
-    """Return the effort of an effect of a share, and what is to be found of it."""
+    """Return the effort of an effect of a share, and what geodrake should find."""
     deviation = seen.load.std(0)
 
     def shares(effort: engines.Array) -> tuple[engines.Array, float]:
@@ -341,7 +341,7 @@ _HALVINGS = 6
 
 
 def score_draw(draw: Draw) -> dict[str, Any]:
-    """Return a row of the table: the draw, what it hid, what was found, and what of it is right."""
+    """Return the row of a draw: its truth, the findings, and which are right."""
     recording = make_recording(draw, engines.robot_model(draw.robot).bodies)
     model = _told(draw, recording)
     began = time.process_time()
@@ -375,13 +375,13 @@ def score_draw(draw: Draw) -> dict[str, Any]:
 
 
 def _told(draw: Draw, recording: Recording) -> RobotModel:
-    """Return what geodrake knows of the robot: its model file, fitted to an earlier log if any."""
+    """Return the model that geodrake gets: the file's, fitted to an earlier log if any."""
     model = engines.robot_model(draw.robot)
     return model if recording.known is None else explain(model, [recording.known]).model
 
 
 def _over_floor(draw: Draw, recording: Recording, found: Investigation) -> float:
-    """Return the final held-out error over that of the true model, which is noise alone."""
+    """Return the final held-out error relative to that of the true model, which is noise alone."""
     bandwidth = found.case.trajectories[0].filter.bandwidth
     bare = compare(engines.robot_model(draw.robot), [recording.bare], bandwidth=bandwidth).errors
     pairs = zip(bare.joints, found.explanation.end.joints, strict=True)
@@ -390,7 +390,7 @@ def _over_floor(draw: Draw, recording: Recording, found: Investigation) -> float
 
 
 def _judged(steps: Sequence[Row], secrets: Sequence[Secret], draw: Draw) -> dict[str, Any]:
-    """Return what is right about the steps; None where there is nothing to be right about."""
+    """Return which steps are right; None without a truth."""
     row: dict[str, Any] = dict.fromkeys(("named", "first", "in_set", "placed"))
     if not secrets or any(secret.name not in truths.TRUTHS for secret in secrets):
         return row
@@ -415,12 +415,12 @@ def _judged(steps: Sequence[Row], secrets: Sequence[Secret], draw: Draw) -> dict
 
 
 def _may_be(step: Row, secret: Secret) -> bool:
-    """Return whether a step has the effect among what it may be."""
+    """Return whether a step may be the effect."""
     return secret.name in (step["effect"], *step["rivals"])
 
 
 def _drafted(found: Investigation, secret: Secret) -> dict[str, Any]:
-    """Return what geodrake says of the rest, and whether joint and kind are right."""
+    """Return geodrake's description of the rest, and whether joint and kind are right."""
     began = time.process_time()
     draft = draft_rest(found)
     correlates = draft.correlates
@@ -451,7 +451,7 @@ def _goes_with(correlate: Correlate, secret: Secret) -> bool:
 
 
 def smallest_of(draw: Draw) -> dict[str, Any]:
-    """Return the smallest share at which an effect is found in one log, by bisection."""
+    """Return the smallest share at which one log reveals an effect, by bisection."""
     low, high = _RANGE
     bodies = engines.robot_model(draw.robot).bodies
     known: RobotModel | None = None
@@ -472,7 +472,7 @@ def smallest_of(draw: Draw) -> dict[str, Any]:
 
 
 def coverage_of(draw: Draw) -> dict[str, Any]:
-    """Return how many of its deviations, of noise and systematic, each found parameter is off."""
+    """Return the errors of found parameters in deviations, of noise and systematic."""
     recording = make_recording(draw, engines.robot_model(draw.robot).bodies)
     secret, off = recording.secrets[0], list[float]()
     for step in explain(engines.robot_model(draw.robot), [recording.log]).steps:
@@ -493,7 +493,7 @@ FOUND_IN = 0.9
 
 
 def bars(rows: Sequence[Row]) -> list[Line]:
-    """Return the lines that draws of the product give."""
+    """Return the lines of ordinary draws."""
     one = [r for r in _of(rows, ONE) if r["secrets"][0]["share"] >= LEAST_SHARE]
     two, outside = _of(rows, TWO), _of(rows, UNKNOWN)
     slow, brisk = (
@@ -554,7 +554,7 @@ def coverage_lines(rows: Sequence[Row]) -> list[Line]:
 
 
 def kind_lines(rows: Sequence[Row]) -> list[Line]:
-    """Return how often each of the hard kinds is among what a log may hide, and at its place."""
+    """Return how often each difficult kind is among the possible effects, at its place."""
     hard = _of(rows, KIND)
     return [
         share(
@@ -567,7 +567,7 @@ def kind_lines(rows: Sequence[Row]) -> list[Line]:
 
 
 def smallest_lines(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Return the share of the effort at which each effect is found in nine of ten logs."""
+    """Return the share of the effort at which nine of ten logs reveal each effect."""
     lines = []
     for name in truths.TRUTHS:
         found = [r["smallest"] for r in rows if r["hidden"] == [name]]
@@ -613,7 +613,7 @@ def run_draw(draw: Draw) -> dict[str, Any]:
 
 
 def wanted_draws(logs: Mapping[str, Any], seeds: Iterable[int]) -> list[Draw]:
-    """Return what the options ask for, for one seed after the other."""
+    """Return the draws of the options, one seed after the other."""
     return [
         each
         for seed in seeds

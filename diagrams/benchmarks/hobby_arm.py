@@ -66,7 +66,7 @@ Simulate = Callable[[JointLog], Array]
 
 @dataclass(frozen=True)
 class Fit:
-    """A model, ready to be simulated under the commands of a log, and what it took."""
+    """A fitted model, a simulation of a log's commands, and its cost."""
 
     name: str
     simulate: Simulate
@@ -89,7 +89,7 @@ def arm_spec(urdf: Path, step: float) -> mujoco.MjSpec:
 
 
 def put(spec: mujoco.MjSpec, joint: str, name: str, value: float) -> None:
-    """Set a parameter of a joint; delays are of commands, and not the model's."""
+    """Set a parameter of a joint; delays belong to commands, not to the model."""
     servo, own = spec.actuator(joint), spec.joint(joint)
     if name == "stiffness":
         servo.gainprm[0], servo.biasprm[1] = value, -value
@@ -106,7 +106,7 @@ def put(spec: mujoco.MjSpec, joint: str, name: str, value: float) -> None:
 def by_mujoco(urdf: Path, values: Mapping[str, Mapping[str, float]]) -> Simulate:
     """Simulate the arm with parameters of its joints.
 
-    A damping that knows the rate r of the command is one of the joint, with r / kp more time.
+    Damping against the rate r of the command is that of the joint, with a delay longer by r / kp.
     """
     spec = arm_spec(urdf, _STEP)
     for joint, own in values.items():

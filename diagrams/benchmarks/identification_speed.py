@@ -44,7 +44,7 @@ HAS_CVXPY = all(find_spec(name) for name in ("cvxpy", "clarabel"))  # of the dev
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """What is fitted."""
+    """The data and bodies of a fit."""
 
     A: np.ndarray  # (m, p) regressor
     b: np.ndarray  # (m,) measurements
@@ -108,9 +108,9 @@ def _arm() -> MultibodyPlant:
 
 
 def cvxpy_solution(problem: FitProblem) -> np.ndarray:
-    """Return the same program as a user writes it in CVXPY, built and solved.
+    """Build and solve the same program as a user writes it in CVXPY.
 
-    The cost is divided by γ: as it stands Clarabel may end far from the minimum.
+    The cost is divided by γ: otherwise Clarabel may end far from the minimum.
     """
     import cvxpy as cp
 
@@ -133,7 +133,7 @@ def cvxpy_solution(problem: FitProblem) -> np.ndarray:
 
 
 def cost(problem: FitProblem, x: np.ndarray) -> float:
-    """Return what an entropic fit minimizes."""
+    """Return the cost of an entropic fit."""
     value = problem.residual(x)
     for start, (phi, gamma) in problem.entropic.items():
         ratio = np.linalg.solve(pseudo_inertia(phi), pseudo_inertia(x[start : start + 10]))
@@ -142,7 +142,7 @@ def cost(problem: FitProblem, x: np.ndarray) -> float:
 
 
 def solver_ratios(case: Case, repeats: int) -> dict[str, Any]:
-    """Return Newton's time against Drake's and CVXPY's on one triangular factor, from cold."""
+    """Return Newton's time relative to Drake's and CVXPY's on one triangular factor, cold."""
     problem = case.problem(GAMMA)
     methods: dict[str, Callable[[], np.ndarray]] = {
         "newton": lambda: solve_newton(problem).x,
@@ -169,7 +169,7 @@ def solver_ratios(case: Case, repeats: int) -> dict[str, Any]:
 def geodesic_rows(
     case: Case, sizes: Sequence[int], gammas: Sequence[float]
 ) -> list[dict[str, Any]]:
-    """Return geodesic fits ([Lee2019] §3.4) to few samples, and entropic ones as near to data.
+    """Return geodesic fits ([Lee2019] §3.4) to few samples, and entropic ones of equal residual.
 
     The motors' inertia is known. Errors are of all samples, and RMS distances of the bodies.
     """
@@ -201,7 +201,7 @@ def geodesic_rows(
 
 
 def main() -> None:
-    """Measure, print, and write what was asked for."""
+    """Measure, print and write."""
     options = script_parser(__doc__, "fewer samples and repeats").parse_args()
     samples, repeats = (300, 1) if options.quick else (4100, 9)
     if not HAS_CVXPY:

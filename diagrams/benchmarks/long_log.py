@@ -47,7 +47,7 @@ FORMATS = ("csv", "parquet")
 
 
 def write_long_log(path: Path, robot: Path, *, samples: int, seed: int) -> None:
-    """Write the log array by array, with no more than a column in memory."""
+    """Write the log array by array, with one column in memory at most."""
     model = load_model(robot)
     joints = len(model.joints)
     rng = np.random.default_rng(seed)
@@ -86,7 +86,7 @@ def _measured(
 
 
 def measure(work: str, robot: Path, path: Path, samples: int) -> dict[str, Any]:
-    """Run a command of the library on the log in a process of its own; sizes are in GB."""
+    """Run a command of the library on the log in its own process; sizes are in GB."""
     peak, (seconds,) = peak_memory(_WORK, work, robot, path)
     raw = 8e-9 * samples * (1 + 2 * len(load_model(robot).joints))
     sizes = {"samples": samples, "raw": raw, "peak_memory": peak / 1e9}
@@ -94,7 +94,7 @@ def measure(work: str, robot: Path, path: Path, samples: int) -> dict[str, Any]:
 
 
 def measure_reading(form: str, path: Path, samples: int) -> dict[str, Any]:
-    """Write the log in another format and read it in a process of its own; sizes are in GB."""
+    """Write the log in another format and read it in its own process; sizes are in GB."""
     table = pyarrow.table(dict(np.load(path)))
     other = path.with_suffix(f".{form}")
     (csv.write_csv if form == "csv" else parquet.write_table)(table, other)
@@ -106,7 +106,7 @@ def measure_reading(form: str, path: Path, samples: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Measure, print, and write what was asked for."""
+    """Measure, print and write."""
     parser = script_parser(__doc__, "a short log of two joints")
     parser.add_argument("--samples", type=int, help="length of the log")
     works = ["compare", "diagnose", *FORMATS]

@@ -54,7 +54,7 @@ STANDING = 0.02  # rad/s, below which a joint's friction is not known
 
 @dataclass(frozen=True, eq=False)
 class Streamed:
-    """What an estimator made of a log, sample by sample."""
+    """Results of an estimator on a log, sample by sample."""
 
     time: Array  # (N,) s since the log's first sample
     parameters: Array  # (N, p) the estimate
@@ -71,7 +71,7 @@ class Streamed:
 def stream(
     log: JointLog, control: ControlModel, update: SampleUpdate, start: Array, *, period: float
 ) -> Streamed:
-    """Play a log to an estimator that begins with an estimate (p,)."""
+    """Stream a log to an estimator that starts at an estimate (p,)."""
     builder = DiagramBuilder()
     source = builder.AddSystem(LogSource(log, control.joints))
     estimator = builder.AddSystem(
@@ -141,7 +141,7 @@ class Arm:
 
 
 def run_draw(draw: Draw) -> list[dict[str, Any]]:
-    """Return rows of the logs; nothing is random."""
+    """Return the rows of all logs; nothing is random."""
     arm = learn(draw)
     weights = {"payload": 1.0}
     manifold = parameter_manifold(
@@ -161,7 +161,7 @@ def run_draw(draw: Draw) -> list[dict[str, Any]]:
 
 
 def learn(draw: Draw) -> Arm:
-    """Return the arm, from the log without payload."""
+    """Return the arm, learned from the log without payload."""
     model = load_model(Path(draw.shared) / "reference" / "ur10e.urdf")
     log = read(draw, LEARNED)
     if draw.way == "offline":
@@ -198,10 +198,10 @@ def learn(draw: Draw) -> Arm:
 
 
 def read(draw: Draw, name: str, *, moving: bool = True) -> JointLog:
-    """Return the first seconds of a log, as it is streamed.
+    """Return the first seconds of a log as a stream.
 
-    A standing joint holds whatever effort dry friction takes; no model predicts it. So efforts are
-    missing while one stands, if the log is to be of a `moving` robot.
+    A standing joint's effort may have any dry friction, so that no model predicts it. If `moving`,
+    efforts are missing while a joint stands.
     """
     log = read_log(Path(draw.shared) / "data" / f"{name}.csv")
     if draw.end is not None:
@@ -212,7 +212,7 @@ def read(draw: Draw, name: str, *, moving: bool = True) -> JointLog:
 
 
 def numbers(found: Streamed) -> dict[str, Any]:
-    """Return what is known of a streamed log."""
+    """Return the numbers of a streamed log."""
     phi = found.parameters[:, -len(GUESS) :]
     eigenvalues = np.linalg.eigvalsh(pseudo_inertia(phi))
     first = float(found.time[found.used][0])

@@ -103,7 +103,7 @@ class Draw:
 
 
 def draw(case: str, robot: str, number: int, seed: int, **fixed: object) -> Draw:
-    """Return a random draw of a case; `fixed` has the fields that are not left to chance."""
+    """Return a random draw of a case, except for the `fixed` fields."""
     rng = np.random.default_rng([seed, number, number_of(f"{case} {robot}")])
     ordinary = case == ORDINARY
     has_tool = rng.random() < 2.0 / 3.0
@@ -127,7 +127,7 @@ def draw(case: str, robot: str, number: int, seed: int, **fixed: object) -> Draw
 
 
 def all_draws(seed: int, **fixed: object) -> list[Draw]:
-    """Return a seed's draws, the cases in turn, so that the first few show some of all of them."""
+    """Return a seed's draws, with the cases in turn, so that the first few have some of each."""
     ordinary = [draw(ORDINARY, arm, k, seed, **fixed) for k, arm in enumerate(ARMS)]
     outside = [
         draw(
@@ -224,7 +224,7 @@ def _hide(
 def _measured(
     draw: Draw, motions: Sequence[Seen], totals: Sequence[np.ndarray], limits: np.ndarray
 ) -> tuple[JointLog, ...]:
-    """Return what a draw's sensors, the same for all its logs, make of motions and efforts."""
+    """Return measured motions and efforts, with the same sensors in all logs of a draw."""
     rng = draw.rng("sensors")
     encoder, tacho = (float(between(each, rng)) for each in (_ENCODER, _TACHO))
     memory = partial(between, TIME_CONSTANTS) if draw.colour == COLOURED else None
@@ -239,7 +239,7 @@ def _measured(
 
 
 def score_draw(draw: Draw) -> dict[str, Any]:
-    """Return a row of the table: the draw, what it hid, what was named, and what of it is right."""
+    """Return the row of a draw: its truth, the named effects, and which are right."""
     recording = make_recording(draw)
     truth = ("hidden", "beside", "mass", "joints", "values")
     row = {**asdict(draw), **{name: getattr(recording, name) for name in truth}}
@@ -247,12 +247,12 @@ def score_draw(draw: Draw) -> dict[str, Any]:
 
 
 def is_missed(row: Row) -> bool:
-    """Return whether a name is wrong or, of an ordinary robot, something is missing."""
+    """Return whether a name is wrong or, for an ordinary robot, missing."""
     return bool(row["wrong"] or row["failed"] or (row["missing"] and row["case"] == ORDINARY))
 
 
 def lines_of(rows: Sequence[Row]) -> list[Line]:
-    """Return all lines."""
+    """Return all report lines."""
     ordinary = [row for row in rows if row["case"] == ORDINARY]
     outside = [row for row in rows if row["case"] == OUTSIDE]
     tools = [row for row in ordinary if row["mass"]]
@@ -297,7 +297,7 @@ def lines_of(rows: Sequence[Row]) -> list[Line]:
 
 
 def quick_draws(seed: int) -> list[Draw]:
-    """Return a short draw of every case, of the arm that moves fastest."""
+    """Return a short draw of every case, of the fastest arm."""
     short = {"duration": 10.0, "rate": 100.0, "velocities": True, "noise": 0.005}
     return [
         draw(ORDINARY, "ur5", 0, seed, **short, tool=0.1, off=0.0, rotors=False),

@@ -30,7 +30,7 @@ UR10E = ("reference/ur10e.urdf", "data/ur10e_free_a.csv", "data/ur10e_free_b.csv
 
 
 def demo_seconds(folder: Path) -> float:
-    """Return the CPU time of `geodrake demo`, s, with compiled code in a folder of its own."""
+    """Return the CPU time of `geodrake demo`, s, with its compiled code cached in the folder."""
     command = [sys.executable, "-m", "geodrake", "demo", "--quiet"]
     surroundings = {**os.environ, **ONE_THREAD, "NUMBA_CACHE_DIR": str(folder / "compiled")}
     how = {"cwd": folder, "env": surroundings, "stdout": subprocess.DEVNULL}
@@ -40,7 +40,7 @@ def demo_seconds(folder: Path) -> float:
 def exported(
     folder: Path, model: Path, paths: Sequence[Path], formats: Sequence[str]
 ) -> dict[str, Any]:
-    """Return what simulators, and checks on logs, make of what `explain` fits, by format."""
+    """Return, by format, how simulators and checks on logs reproduce a model of `explain`."""
     fitted, exports = explain(load_model(model), [read_log(path) for path in paths]).model, {}
     for name in formats:
         found = export_to(name, fitted, folder / name, paths)

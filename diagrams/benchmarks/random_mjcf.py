@@ -26,27 +26,27 @@ _OFF = mujoco.mjtDisableBit
 
 
 class Writer:
-    """Writes one random file, and what it attaches, into a folder."""
+    """Writer of a random file, and of the files that it attaches, into a folder."""
 
     def __init__(self, rng: np.random.Generator, folder: Path) -> None:
         self.rng, self.folder, self.count = rng, folder, 0
         self.classed = False
 
     def numbers(self, size: int, low: float = -1.0, high: float = 1.0) -> str:
-        """Return random numbers as words."""
+        """Return random numbers as text."""
         return " ".join(f"{x:.4f}" for x in self.rng.uniform(low, high, size))
 
     def chance(self, share: float) -> bool:
-        """Return whether something happens that does in a share of the cases."""
+        """Return true with a given probability."""
         return bool(self.rng.random() < share)
 
     def name(self, kind: str) -> str:
-        """Return a name of its own, or none."""
+        """Return a unique name, or none."""
         self.count += 1
         return f'name="{kind}{self.count}"'
 
     def turn(self) -> str:
-        """Return an orientation in one of the ways that there are."""
+        """Return an orientation in a random notation."""
         ways = {"quat": 4, "euler": 3, "axisangle": 4, "xyaxes": 6, "zaxis": 3}
         kind = self.rng.choice(list(ways))
         high = 60.0 if kind == "euler" else 1.0
@@ -81,7 +81,7 @@ class Writer:
         return " ".join(own)
 
     def geom(self) -> str:
-        """Return a shape of a random kind, whose mass follows from its density or is given."""
+        """Return a random shape, with a given mass or a density."""
         kind = self.rng.choice(["sphere", "capsule", "cylinder", "box", "ellipsoid"])
         mass = f'mass="{self.rng.uniform(0.1, 2):.3f}"' if self.chance(0.4) else ""
         group = 'group="3"' if self.chance(0.1) else ""
@@ -101,7 +101,7 @@ class Writer:
         return f'<inertial {place} {self.turn()} diaginertia="{moments}"/>'
 
     def joint(self, kind: str) -> str:
-        """Return a joint, perhaps drawn elsewhere than at zero."""
+        """Return a joint, perhaps with a zero of its own."""
         own = f'{self.name("j")} type="{kind}" pos="{self.numbers(3, -0.1, 0.1)}"'
         if kind == "ball":
             own += ' armature="0.02" damping="0.1 0 0" stiffness="0 0 0" frictionloss="0"'
@@ -141,7 +141,7 @@ class Writer:
         return f"<body {self.name('b')} {place} {child} {lift}>{''.join(inside)}</body>"
 
     def below(self, depth: int) -> str:
-        """Return what hangs on a body: another one, many of them, or one of another file."""
+        """Return the children of a body: another one, many of them, or one of another file."""
         draw = self.rng.random()
         if draw < 0.15:
             return (
@@ -188,12 +188,12 @@ class Writer:
         return path
 
     def second_defaults(self) -> str:
-        """Return a further section of the main class, as an included file would have."""
+        """Return a second section of the main class, as an included file would have."""
         more = f'<default class="main"><joint armature="{self.numbers(1, 0, 0.1)}"/></default>'
         return more if self.chance(0.3) else ""
 
     def settings(self) -> str:
-        """Return settings of the compiler, of the medium and of gravity."""
+        """Return settings of compiler, medium and gravity."""
         compiler, option = "", ""
         if self.chance(0.2):
             compiler += ' settotalmass="7"'
@@ -262,7 +262,7 @@ class Writer:
 
 
 def reference(path: Path, left_out: set[str]) -> mujoco.MjModel:
-    """Return MuJoCo's own reading of the file, without what no model of geodrake takes."""
+    """Return MuJoCo's reading of the file, without what geodrake's models lack."""
     with quiet_mujoco():
         model = mujoco.MjModel.from_xml_path(str(path))
     for tendon in left_out:
@@ -272,7 +272,7 @@ def reference(path: Path, left_out: set[str]) -> mujoco.MjModel:
 
 
 def difference(path: Path, rng: np.random.Generator) -> tuple[float, int, bool]:
-    """Return the largest relative difference of efforts, joints, and whether parts are out."""
+    """Return the largest relative difference of efforts, joints, and whether parts are left out."""
     model = load_model(path)
     left_out = set(re.findall(r"The tendon (\w+) with stiffness", " ".join(model.left_out)))
     theirs = reference(path, left_out)
@@ -316,14 +316,14 @@ def _only(values: np.ndarray, places: list[int]) -> np.ndarray:
 
 
 def _positions(model, q: np.ndarray) -> np.ndarray:
-    """Return positions in Drake's order; balls are at zero."""
+    """Return positions in Drake's order, with balls at zero."""
     found = np.zeros((len(q), model.tree.num_positions))
     found[:, model.single_places] = q[:, model.single_places]
     return found
 
 
 def run(count: int, seed: int) -> dict[str, object]:
-    """Compare that many random files."""
+    """Compare `count` random files."""
     rng = np.random.default_rng(seed)
     worst, joints, refused, left = 0.0, 0, 0, 0
     for _ in range(count):

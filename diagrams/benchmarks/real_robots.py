@@ -41,7 +41,7 @@ class Study:
     mapping: ColumnMapping | None = None
 
     def read(self, model: RobotModel, shared: Path) -> list[JointLog]:
-        """Return the logs as a model has them."""
+        """Return the logs for a model."""
         reading, joints = reading_for(model, Reading(mapping=self.mapping)), model.known_joints
         paths = [shared / "data" / log for log in self.logs]
         return [read_log(path, joints=joints, partial=True, reading=reading) for path in paths]
@@ -91,7 +91,7 @@ ELSEWHERE = {"ur10e free": ("ur10e_free_c.csv", "ur10e_ptp.csv")}
 
 
 def model_file(name: str, shared: Path) -> Path | None:
-    """Return a model file of the checkout or of the references; None if neither has it."""
+    """Return a model file of the checkout or of the references, None if there is none."""
     places = (ROOT / "models", shared / "reference", shared / "data" / Path(name).stem)
     places = tuple(folder / name for folder in places)
     return next((path for path in places if path.is_file()), None)
@@ -107,14 +107,14 @@ def run(study: Study, *, shared: Path, saved: Path) -> Explanation:
 
 
 def named_afterwards(study: Study, *, shared: Path, saved: Path) -> list[str]:
-    """Return what `diagnose` names on the logs of a study with the model that `run` saved."""
+    """Return what `diagnose` names on a study's logs with the model that `run` saved."""
     model = load_model(saved / f"{study.name}.yaml")
     found = diagnose(model, study.read(model, shared), blocks=study.blocks)
     return [placed(each) for each in found.candidates]
 
 
 def placed(found: Candidate | Step) -> str:
-    """Return an effect and where it was found."""
+    """Return an effect and its place."""
     return f"{found.effect} at {', '.join(found.where)}" if found.where else found.effect
 
 
@@ -143,11 +143,10 @@ def pairs_of_days(
 def left_out(
     study: Study, explanation: Explanation, shared: Path
 ) -> list[tuple[str, dict[str, float]]]:
-    """Return the nrms on logs that took no part, without each step of a study.
+    """Return the nrms on logs that were not used, without each step of a study.
 
     Returns:
-        "as found", and "none" and each effect left out of a fit of all others, one after another,
-        with the nrms by log.
+        "as found", "none", and each effect left out of a fit of all others, with the nrms by log.
     """
 
     def errors(model: RobotModel) -> dict[str, float]:
@@ -167,7 +166,7 @@ def left_out(
 
 
 def rows_of(study: Study, explanation: Explanation, seconds: float) -> list[dict[str, Any]]:
-    """Return a row a step of a study; the first one is the model as it stands.
+    """Return a row for each step of a study, the first for the model as it is.
 
     "nrms" is the held-out error over the effort's deviation, "pooled_rms" that of all joints, N·m.
     """

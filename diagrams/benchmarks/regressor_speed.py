@@ -25,8 +25,8 @@ ARM = MODELS / "arm7.urdf"
 def measure_speed(robot: Path, *, samples: int, repeats: int, seed: int) -> dict[str, Any]:
     """Return the times of both regressors on the same random samples of a robot, µs a sample.
 
-    "regressor" is that of logs as they are reduced, "at once" that of all samples in new memory,
-    and "difference" that of an entry at most, relative to the largest.
+    "regressor" reduces samples as logs are reduced, "at once" allocates one for all samples, and
+    "difference" is the largest of an entry, relative to the largest entry.
     """
     plant = load_plant(robot).plant
     tree, phi = KinematicTree.from_plant(plant), inertial_parameters(plant)

@@ -68,7 +68,7 @@ class ServoDraw:
 
 @dataclass(frozen=True)
 class ServoLog:
-    """A log, and what was hidden."""
+    """A log and its truth."""
 
     servos: Servos
     log: JointLog
@@ -159,7 +159,7 @@ def _inertia(engine: PinocchioEngine, q: Array) -> Array:
 
 
 def _shaking(time: Array, n: int, rng: np.random.Generator) -> Array:
-    """Return (N, n) small fast sines, up to 5 Hz, at which a servo's lag shows."""
+    """Return (N, n) small fast sines, up to 5 Hz, which reveal a servo's lag."""
     rate = 2.0 * np.pi * rng.uniform(1.5, 5.0, (_SHAKES, n))
     phase = rng.uniform(0.0, 2.0 * np.pi, (_SHAKES, n))
     size = 3.0 * rng.uniform(0.5, 1.0, (_SHAKES, n)) / rate**2  # 3 rad/s² each
@@ -217,8 +217,8 @@ def _truths(
 ) -> Mapping[str, Mapping[str, float]]:
     """Return effect -> joint -> true value, in the order of the model's joints.
 
-    A servo that damps the velocity alone is viscous friction to its joint, unless one was found
-    that makes its damping within a limit.
+    Damping of the velocity alone is viscous friction of the joint, unless a servo was found that
+    makes its damping within a limit.
     """
     servos, names = made.servos, made.log.joints
     within = [servos.knows_rate or joint in _damping(signals) for joint in names]
@@ -237,7 +237,7 @@ def _damping(signals: Sequence[EffortSignal]) -> list[str]:
 
 
 def _in_set(made: ServoLog, found: Explanation) -> dict[str, Any]:
-    """Return whether what was found, or cannot be told from it, has every notable effect."""
+    """Return whether every notable effect was found or is indistinguishable from the found ones."""
     position = made.log.position
     velocity = np.gradient(position, made.log.time, axis=0)
     motions = {
@@ -258,9 +258,9 @@ def _in_set(made: ServoLog, found: Explanation) -> dict[str, Any]:
 
 
 def _motion(made: ServoLog, model: RobotModel, found: Explanation) -> dict[str, Any]:
-    """Return departures from the motion under the commands, of what was found and of the truth.
+    """Return errors of the motions of the findings and of the truth under the commands.
 
-    They are shares of what each joint moves; those on the way are before and after every step.
+    They are relative to the motion of each joint; those on the way are before and after every step.
     """
     servos = made.servos
     signals = [
@@ -299,7 +299,7 @@ def _motion(made: ServoLog, model: RobotModel, found: Explanation) -> dict[str, 
 
 
 def _gains(made: ServoLog, model: RobotModel) -> list[dict[str, Any]]:
-    """Return stiffness, damping, and the integral where there or found one, beside the truth."""
+    """Return stiffness, damping and the integral, if there is or was found one, with the truth."""
     rows, servos, within = [], made.servos, _damping(model.effort_signals)
     for signal in model.effort_signals:
         at, joint = made.log.joints.index(signal.joint), signal.joint
@@ -315,7 +315,7 @@ def _gains(made: ServoLog, model: RobotModel) -> list[dict[str, Any]]:
 
 
 def _effects(made: ServoLog, found: Explanation) -> list[dict[str, Any]]:
-    """Return values of effects, beside the truth."""
+    """Return values of effects with the truth."""
     rows = []
     truths = _truths(made, found.model.effort_signals)
     for step in found.steps:
@@ -346,7 +346,7 @@ def _row(what: str, joint: str, value: float, spread: float, truth: float) -> di
 
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return shares and medians over all logs; departures are root mean squares of all joints."""
+    """Return shares and medians over all logs; errors of motions are RMS over joints."""
     values = [value for row in rows for value in row["values"]]
 
     def departs(row: Mapping[str, Any], at: int) -> float:

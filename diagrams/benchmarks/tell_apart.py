@@ -78,7 +78,7 @@ CENTER = np.array([0.3, 1.27])  # the lower link is level: there gravity's direc
 
 @dataclass(frozen=True)
 class Case:
-    """A robot and what it is taken for."""
+    """A robot, its effect and the rival."""
 
     truth: str
     rival: str
@@ -89,7 +89,7 @@ class Case:
     parameters: tuple[float, ...] = (1.0,)  # of the truth, for a size of one
 
     def drawn_size(self, rng: Generator) -> float:
-        """Return up to a fifth more or less than usual."""
+        """Return the usual size, changed at random by up to a fifth."""
         return self.size * rng.uniform(0.8, 1.2)
 
     def seen(self, motion: Reference, times: Array) -> Seen:
@@ -104,7 +104,7 @@ class Case:
 
 
 def about(center: Array, *waves: Array) -> Reference:
-    """Return sines about a posture, of sizes, rates and phases."""
+    """Return sines about a posture."""
 
     def motion(t: Array) -> Moved:
         q, v, a = sines(t, *waves)
@@ -192,7 +192,7 @@ class Draw:
 
 @cache
 def known_model() -> RobotModel:
-    """Return the model file, its inertias identified before to within 1 %."""
+    """Return the model file's robot, with inertias identified to within 1 %."""
     model = robot_model(PENDULUM)
     information = pullback_information(model.phi, KNOWN)
     noise = np.full(len(model.joints), NOISE)
@@ -200,7 +200,7 @@ def known_model() -> RobotModel:
 
 
 def allowed() -> MotionLimits:
-    """Return what the robot may do."""
+    """Return the limits of the robot."""
     joints = known_model().joints
     return motion_limits(
         known_model(),
@@ -212,7 +212,7 @@ def allowed() -> MotionLimits:
 
 @cache
 def separation_of(case: Case) -> Separation:
-    """Return what telling a case's two effects apart amounts to, both of unknown size."""
+    """Return the separation of a case's two effects, both of unknown size."""
     model, limits = known_model(), allowed()
     rivals = []
     for name in (case.truth, case.rival):
@@ -223,7 +223,7 @@ def separation_of(case: Case) -> Separation:
 
 
 def run(draw: Draw, *, iterations: int) -> dict[str, Any]:
-    """Return what the first log leaves ambiguous and, if it is the pair, what others show."""
+    """Return what is ambiguous in the first log and, if it is the pair, what other logs reveal."""
     case, rng = CASES[draw.case], np.random.default_rng([draw.seed, draw.case])
     size = case.drawn_size(rng)
     motion = MOTIONS[case.motion][0](rng)
@@ -262,7 +262,7 @@ def motions(case: Case, seed: int, iterations: int) -> dict[str, ExcitationTraje
 
 
 def moved(trajectory: ExcitationTrajectory, t: Array) -> Moved:
-    """Return position, velocity and acceleration by joint, which stay as they are at the end."""
+    """Return position, velocity and acceleration by joint, constant after the end."""
     q, v, vd = trajectory.states(np.minimum(t, trajectory.length))
     return q, v, vd
 
@@ -277,7 +277,7 @@ def measured(draw: Draw, name: str, size: float, motion: Reference, duration: fl
 
 
 def deviations(case: Case, size: float, motion: Reference, duration: float) -> float:
-    """Return by how many deviations of the noise a robot differs from the best of its rival."""
+    """Return the deviations of noise between a robot and the best fit of its rival."""
     q, v, vd = motion(np.linspace(0.0, duration, SAMPLES))
     separation = separation_of(case)
     pair = next(p for p in separation.pairs if p.truth == case.truth)
@@ -289,12 +289,12 @@ def deviations(case: Case, size: float, motion: Reference, duration: float) -> f
 
 
 def stands(diagnosis: Diagnosis, name: str) -> bool:
-    """Return whether an effect is among those that a log cannot distinguish from the best."""
+    """Return whether an effect is the best or indistinguishable from it."""
     return any(c.tied and name in c.effect.split(" + ") for c in diagnosis.candidates)
 
 
 def verdict(case: Case, diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return what a diagnosis says of a case."""
+    """Return the verdict of a diagnosis on a case."""
     return {
         "told": stands(diagnosis, case.truth) and not stands(diagnosis, case.rival),
         "wrong": stands(diagnosis, case.rival) and not stands(diagnosis, case.truth),
@@ -307,7 +307,7 @@ LOGS = ("first", "random", "designed")
 
 @dataclass(frozen=True)
 class Plan:
-    """What a run is made of."""
+    """Settings of a run."""
 
     cases: tuple[int, ...] = tuple(range(len(CASES)))
     wanted: int = 10  # robots of each case whose first log is ambiguous

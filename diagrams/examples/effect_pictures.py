@@ -66,13 +66,13 @@ class Example:
     joint: str = ELBOW
 
     def residual(self, motion: RobotMotion) -> Array:
-        """Return (N,) effort of the effect at the joint that is shown."""
+        """Return (N,) effort of the effect at the pictured joint."""
         own = self.effect.effort(motion, np.array(self.values))
         return np.asarray(own[:, motion.index(self.joint)])
 
 
 def phi_of(mass: float, *center: float, radius: float = 0.05) -> Array:
-    """Return inertial parameters of a ball of a mass, kg, about a centre (3,), m."""
+    """Return inertial parameters of a ball about a centre (3,), m."""
     return from_mass_com_inertia(mass, np.array(center), 0.4 * mass * radius**2 * np.eye(3))
 
 
@@ -111,7 +111,7 @@ def examples() -> list[Example]:
 
 
 def motion_of(model: RobotModel) -> RobotMotion:
-    """Return a lively motion of all joints within their limits."""
+    """Return a fast motion of all joints within their limits."""
     t = np.arange(0.0, DURATION, PERIOD)
     rates = np.array([0.9, 0.8, 1.1, 1.5, 1.7, 2.1])
     sizes = np.array([0.9, 0.6, 0.8, 1.0, 0.9, 1.2])
@@ -123,13 +123,13 @@ def motion_of(model: RobotModel) -> RobotMotion:
 
 
 def delayed(motion: RobotMotion) -> Array:
-    """Return (N,) what efforts of the elbow that are logged 12 ms late leave."""
+    """Return (N,) the elbow's residual if efforts are logged 12 ms late."""
     own, late = motion.load[:, motion.index(ELBOW)], round(0.012 / PERIOD)
     return np.concatenate([np.zeros(late), own[:-late] - own[late:]])
 
 
 def heavier(motion: RobotMotion) -> Array:
-    """Return (N,) what a forearm leaves at the elbow that is 1.5 kg heavier than its model."""
+    """Return (N,) the elbow's residual if the forearm is 1.5 kg heavier than its model."""
     columns = motion.body_columns("forearm")[:, motion.index(ELBOW)]
     return np.asarray(columns @ phi_of(1.5, 0.15, 0.0, 0.0))
 
@@ -163,7 +163,7 @@ def draw(residual: Array, motion: RobotMotion, joint: str, path: Path) -> None:
 
 
 def page(drawn: dict[type[Effect], Path], folder: Path) -> str:
-    """Return the page of all effects, pictures named relative to a folder."""
+    """Return the page of all effects, with paths of pictures relative to a folder."""
     rows = [(f"`{name}`", law.replace("|", "\\|"), place) for name, law, place in table_rows()]
     table = "".join(f"| {' | '.join(row)} |\n" for row in rows)
     parts = [INTRODUCTION + table + PICTURES]

@@ -75,7 +75,7 @@ class HiddenEffect:
 
 @dataclass(frozen=True)
 class Scenario:
-    """What is simulated and logged."""
+    """A simulation and its log."""
 
     robot: str = "arm6"
     hidden: tuple[HiddenEffect, ...] = ()
@@ -165,8 +165,8 @@ def add_drives(
 ) -> OutputPort:
     """Have the plant follow a motion, and return the effort (nv) of its drives in the last step.
 
-    That is inverse dynamics of the `clean` plant that a controller knows, and PD control of the
-    actuators, which a discrete plant takes implicitly: gains may be as stiff as those of real ones.
+    That is inverse dynamics of the `clean` plant, which a controller knows, and PD control of the
+    actuators, which a discrete plant takes implicitly: gains may be as stiff as real ones.
     """
     feedforward = builder.AddSystem(
         InverseDynamics(clean, InverseDynamics.InverseDynamicsMode.kInverseDynamics)
@@ -184,7 +184,7 @@ def add_drives(
 def track(
     plant: MultibodyPlant, motion: PiecewisePolynomial, *, scenario: Scenario
 ) -> tuple[Array, Array]:
-    """Return states (N, nq + nv) and efforts (N, nv) of the plant on its motion."""
+    """Return states (N, nq + nv) and efforts (N, nv) of the plant along its motion."""
     laws = scenario.laws()
     forces = [law for law in laws if law[0].name not in (*PLANT_EFFECTS, EffortDelay.name)]
     delays = delays_of([effect for effect, _ in laws], joint_names(plant))
@@ -215,7 +215,7 @@ def track(
 def measure(
     plant: MultibodyPlant, states: Array, efforts: Array, *, scenario: Scenario
 ) -> JointLog:
-    """Return what sensors make of a simulation."""
+    """Return the log of a simulation, as measured by sensors."""
     on_effort, on_velocity = np.random.default_rng(scenario.seed + 1).spawn(2)
     q, v = np.split(states, [plant.num_positions()], axis=1)
     noise = scenario.effort_noise * efforts.std(axis=0)
@@ -230,7 +230,7 @@ def measure(
 
 
 def read_scenario() -> tuple[argparse.Namespace, Scenario]:
-    """Return command line options, and the scenario that they ask for."""
+    """Return command line options, and their scenario."""
     parser = script_parser(__doc__, "a log of 4 s, for a first look")
     parser.add_argument("--log", type=Path, help="file for the log, .csv or .npz")
     parser.add_argument("--demo", action="store_true", help="the log that comes with the package")

@@ -43,7 +43,7 @@ class IiwaMessages:
 
 
 class StatusReader(LeafSystem):
-    """The measured state (2 n) in a status: NaN, which controllers take for missing, before one."""
+    """The measured state (2 n) in a status; before the first, NaN, which means missing."""
 
     def __init__(self, joints: int) -> None:
         LeafSystem.__init__(self)
@@ -110,7 +110,7 @@ def iiwa_ports(
     Args:
         joints: Names of the n joints in the order of the messages.
         lcm: Interface for the messages, which the diagram must pump, as by `ApplyLcmBusConfig`.
-        gravity_plant: As for `CommandWriter`, where the robot's driver compensates gravity.
+        gravity_plant: As for `CommandWriter`, if the robot's driver compensates gravity.
         elsewhere: Whether the robot is in another process, so that a simulation begins with its
             first status, or after `messages.patience`.
     """

@@ -26,7 +26,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def explain_demo(*, quick: bool) -> Explanation:
-    """Return what `geodrake demo` finds; if quick, in the first 6 s of its log."""
+    """Return the findings of `geodrake demo`; if quick, of the first 6 s of its log."""
     with as_file(files("geodrake") / "demo") as demo:
         log = read_log(demo / "demo.csv")
         if quick:
@@ -35,7 +35,7 @@ def explain_demo(*, quick: bool) -> Explanation:
 
 
 def pictures_of_pages(found: Explanation, folder: Path) -> None:
-    """Draw the pages that commands make of the demo, and of what it finds."""
+    """Draw the pages that commands write about the demo and its fitted model."""
     with as_file(files("geodrake") / "demo") as demo, TemporaryDirectory() as work:
         model, log, saved = demo / "demo.urdf", demo / "demo.csv", Path(work) / "arm.yaml"
         save_model(found.model, saved)

@@ -101,7 +101,7 @@ class Control:
 
 @dataclass
 class Robot:
-    """A robot: how it moves, and what controls it."""
+    """A robot with its motion and its controller."""
 
     # File of a geodrake model, fitted or not, that the robot of the directives moves as, with its
     # inertias, effects and delays; empty for the robot as the directives have it.
@@ -115,7 +115,7 @@ class Robot:
 
 @dataclass
 class Scenario:
-    """A scene and what happens in it; names are those of Drake's hardware_sim where it has them."""
+    """A scene and its robots; names are those of Drake's hardware_sim where it has them."""
 
     random_seed: int = 0  # of hardware_sim; nothing here is random
     simulation_duration: float = 1.0
@@ -135,7 +135,7 @@ class Scenario:
 
 
 def load_scenario(path: Path, name: str | None) -> Scenario:
-    """Read a scenario of a YAML file, by its name if there are several."""
+    """Read a scenario from a YAML file, by its name if there are several."""
     if not path.is_file():
         raise ArgumentError(f"{path} does not exist, or is no file.", advice="Check the path.")
     with drake_errors(path, advice=ADVICE):
@@ -153,7 +153,7 @@ def load_scenario(path: Path, name: str | None) -> Scenario:
 
 @contextmanager
 def within(where: str) -> Iterator[None]:
-    """Say of errors where in the scenario they are."""
+    """Add a place in the scenario to the messages of errors."""
     try:
         yield
     except GeodrakeError as error:
@@ -211,7 +211,7 @@ class Placed:
     kept: RobotModel | None  # what must live as long as the diagram
 
     def start(self, root: Context) -> None:
-        """Put the robot where its motion starts, with the model's inertias."""
+        """Put the robot at the start of its motion, with the model's inertias."""
         if self.model is not None:
             self.model.set_inertias(root)
         if self.instance is not None and self.loop is not None:
@@ -223,7 +223,7 @@ class Placed:
             self.model.effect_force.deflect(root)
 
     def logged(self, context: Context) -> tuple[Array, dict[str, Array]]:
-        """Return times (N,) and what was logged (N, ·), of the plant where the robot is in it."""
+        """Return times (N,) and logged values (N, ·), of the plant if the robot is in it."""
         sinks = {name: sink.FindLog(context) for name, sink in self.logs.items()}
         own = {name: np.array(log.data().T) for name, log in sinks.items()}
         if self.loop is None:
@@ -333,7 +333,7 @@ def simulate(
 def tracking(
     law: str, name: str, joints: tuple[str, ...], times: Array, error: Array
 ) -> list[dict]:
-    """Return rows of errors (N, n), rad or m: all joints and then each; the second half is late."""
+    """Return rows of errors (N, n), rad or m, of all joints and each; "late" is the second half."""
     known = np.isfinite(error).all(1)
     error, late = error[known], times[known] >= 0.5 * times[-1]
     return [
@@ -350,7 +350,7 @@ def tracking(
 
 
 def moved_objects(plant: MultibodyPlant, contexts: tuple[Context, Context]) -> dict[str, list]:
-    """Return how far each body that floats was moved, m."""
+    """Return the displacement of each floating body, m."""
     own = [plant.GetMyContextFromRoot(root) for root in contexts]
     bodies = [plant.get_body(i) for i in sorted(plant.GetFloatingBaseBodies(), key=int)]
     places = {
@@ -361,7 +361,7 @@ def moved_objects(plant: MultibodyPlant, contexts: tuple[Context, Context]) -> d
 
 
 def error_figure(errors: Mapping[str, tuple[tuple[str, ...], Array, Array]]) -> Figure:
-    """Draw errors of all joints over time, a panel a robot."""
+    """Draw errors of all joints over time, with a panel for each robot."""
     rows = [
         {"robot": name, "joint": joint, "time": times.tolist(), "q − q_d": values.tolist()}
         for name, (joints, times, error) in errors.items()

@@ -97,13 +97,13 @@ def run_draw(
 
 
 def prior_of(draw: int, seed: int, measured: Measurements) -> tuple[np.random.Generator, Array]:
-    """Return random numbers of a draw, and its prior (17, 10)."""
+    """Return a draw's random generator and its prior (17, 10)."""
     rng = np.random.default_rng([seed, 1 + draw])
     return rng, perturbed(measured.truth, rng, DELTA)
 
 
 def identified(prior: Array, measured: Measurements) -> IdentificationResult:
-    """Return what all training samples say, of bodies and friction, as the source fixes the latter.
+    """Return bodies and friction from all training samples, as the source fixes friction.
 
     Its `extra` has the friction (14,).
     """
@@ -148,7 +148,7 @@ def compared(
     measured: Measurements,
     entropic: IdentificationResult,
 ) -> IdentificationResult:
-    """Return a fit to be compared with the entropic one ([Lee2019] §3.5.1).
+    """Return a fit to compare with the entropic one ([Lee2019] §3.5.1).
 
     At the same training residual; with the Riemannian distance, which is not convex, with the same
     γ (Eq. (3.5.53)).
@@ -174,7 +174,7 @@ def row_of(
 
     "rigid" is the difference from the torques of the true bodies on the test motions, "distance"
     that of all links from the true ones, "zmp" the mean distance of zero-moment points, m, "gamma"
-    what belongs to the solution, and "at_boundary" counts bodies.
+    is the solution's γ, and "at_boundary" counts bodies.
     """
     fitted = isinstance(found, IdentificationResult)
     phi = found.phi if fitted else found
@@ -266,7 +266,7 @@ def link_figure(arm: Arm, models: Sequence[EllipsoidSet]) -> Figure:
 
 
 def example(measured: Measurements, seed: int) -> list[EllipsoidSet]:
-    """Return truth, prior, and fits to 30 samples of the first draw, if there are solutions."""
+    """Return truth, prior, and solved fits to 30 samples of the first draw."""
     _, prior = prior_of(0, seed, measured)
     friction = identified(prior, measured).extra
     data = training_data(0, EXAMPLE, friction, seed, measured)

@@ -107,7 +107,7 @@ def coupled_model() -> RobotModel:
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """Parameters of the arm as they were identified, or as they are."""
+    """Parameters of the arm, identified or true."""
 
     phi: Array  # (17, 10) of links and then rotors
     coulomb: Array  # (7,) of the motors, N·m
@@ -115,14 +115,14 @@ class Known:
 
     @classmethod
     def true(cls, phi: Array) -> Known:
-        """Return the arm as it is."""
+        """Return the true parameters."""
         return cls(phi, COULOMB, VISCOUS)
 
     def friction(self, joints: Sequence[str]) -> list[FittedEffect]:
         """Return the friction of the motors at the seven joints that they turn.
 
         A motor that turns k times as fast as its joint, or as the sum or difference of the wrist's
-        two, has there k f_c and k² f_v.
+        two, contributes k f_c and k² f_v.
         """
         ratio = REDUCTION / SHARES
         found = []
@@ -136,9 +136,10 @@ class Known:
         return found
 
     def rotors(self) -> Array:
-        """Return (7,) rotor inertia that each turn's joint feels, kg·m².
+        """Return (7,) rotor inertia at each turn's joint, kg·m².
 
-        The wrist's two motors turn both of its joints; what their difference couples is left out.
+        The wrist's two motors turn both of its joints; the coupling by their difference is left
+        out.
         """
         motor = self.phi[10:, 6]
         felt = np.append(motor[:5], [motor[5:].sum()] * 2)
@@ -218,14 +219,14 @@ DURATION = 1.5  # s of a motion, [Lee2019] §5.6
 
 @cache
 def known_arm(seed: int) -> Known:
-    """Return the arm as it is identified from the motions of `ambidex_arm.py`."""
+    """Return the arm, identified from the motions of `ambidex_arm.py`."""
     measured = measure(Arm.load(), seed=seed, hull=HULL)
     result = identified(prior_of(0, seed, measured)[1], measured)
     return Known(result.phi, result.extra[:7], result.extra[7:])
 
 
 def point_to_point(count: int, seed: int) -> PiecewisePolynomial:
-    """Return joints (7,) that go from one random place to the next with least jerk, from zero."""
+    """Return minimum-jerk moves of joints (7,) between random places, from zero."""
     rng = np.random.default_rng([seed, 56])
     ends = SHARES * np.vstack([np.zeros(7), rng.uniform(-REACH, REACH, (count, 7))])
     s = np.linspace(0.0, 1.0, 31)
@@ -237,7 +238,7 @@ def point_to_point(count: int, seed: int) -> PiecewisePolynomial:
 
 
 class UnevenFriction(LeafSystem):
-    """Dry friction of motors that depends on their position, which no parameter explains."""
+    """Dry friction of motors by their position, which no parameter explains."""
 
     def __init__(self, seed: int) -> None:
         LeafSystem.__init__(self)
@@ -264,7 +265,7 @@ def simulate_coupled(
     seed: int,
     end: float | None = None,
 ) -> loop.Record:
-    """Simulate the arm with sandbags over a motion of its joints, to `end`, or until it is lost."""
+    """Simulate the arm with sandbags over a motion of its joints, until `end` or lost."""
     builder = DiagramBuilder()
     plant = builder.AddSystem(make_coupled_plant(bags))
     first = np.linalg.pinv(joint_map())
@@ -281,7 +282,7 @@ def simulate_coupled(
 
 
 def _add_friction(builder: DiagramBuilder, plant: MultibodyPlant, seed: int) -> None:
-    """Add friction that parameters explain, and friction that they do not."""
+    """Add friction, with and without parameters that explain it."""
     joints = [plant.get_joint(index).name() for index in plant.GetJointIndices()]
     moving = [name for name in joints if plant.GetJointByName(name).num_velocities()]
     known = Known.true(Arm.load().phi).friction([moving[k] for k in FIRST])
@@ -346,13 +347,13 @@ def all_draws(options: argparse.Namespace) -> list[Draw]:
 
 
 def grid_draws(options: argparse.Namespace) -> list[Draw]:
-    """Return the draws that speeds are chosen on."""
+    """Return the draws from which speeds are chosen."""
     tried = product(laws.LAWS[1:], laws.GRID)
     return [Draw(GRID_CASE, law, speed, 3) for law, speed in tried]
 
 
 def tell(options: argparse.Namespace, rows: list[Any]) -> None:
-    """Print and write what came out."""
+    """Print and write the results."""
     for row in rows:
         row["motor"] = REDUCTION * row["rms"]
         half = [x for x in row["rounds"][len(row["rounds"]) // 2 :] if x is not None]

@@ -64,7 +64,7 @@ GROUPS = {
 
 
 def standing_robot(shared: Path | None) -> Stance:
-    """Return Atlas on its left foot, of the folder `shared`; our small robot if None.
+    """Return Atlas of the folder `shared` on its left foot, or a small robot if None.
 
     Its neck, which is not among the source's 29 joints, is held.
     """
@@ -76,7 +76,7 @@ def standing_robot(shared: Path | None) -> Stance:
 
 
 def groups(model: RobotModel) -> dict[str, np.ndarray]:
-    """Return indices of the joints of every group that the robot has."""
+    """Return indices of the robot's joints by group."""
     found = {
         group: np.array([i for i, joint in enumerate(model.joints) if re.search(pattern, joint)])
         for group, pattern in GROUPS.items()
@@ -94,7 +94,7 @@ UNCERTAINTY = 0.8  # how wrong the masses of the prior's links are, at most
 
 @dataclass(frozen=True)
 class Plan:
-    """What a run is made of."""
+    """Settings of a run."""
 
     shared: str | None  # folder with the description of Atlas; None for the small robot
     motions: int = 20
@@ -108,13 +108,13 @@ def robot(plan: Plan) -> Stance:
 
 
 def target_of(stance: Stance, phi: np.ndarray) -> Target:
-    """Return what a force plate is to identify, with nominal parameters."""
+    """Return the target of a force plate, with nominal parameters."""
     guess = replace(stance.model, phi=phi)
     return make_target(guess, noise=NOISE, effects=[], X_WP=RigidTransform())
 
 
 def one_motion(number: int, *, plan: Plan) -> dict[str, Any]:
-    """Return a random motion in balance."""
+    """Return a random balanced motion."""
     stance = robot(plan)
     trajectory = random_excitation(
         stance.target(noise=NOISE, effects=[], on_plate=True),
@@ -185,7 +185,7 @@ def rms(x: np.ndarray) -> float:
 
 
 def run(found: Sequence[dict[str, Any]], plan: Plan) -> dict[str, Any]:
-    """Return figure 4.7 and tables 4.3 and 4.4, of motions in balance."""
+    """Return the data of figure 4.7 and of tables 4.3 and 4.4."""
     stance, kept = robot(plan), asdict(plan)
     half, truth = plan.motions // 2, stance.model
     target, full, reduced = identify(

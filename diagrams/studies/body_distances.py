@@ -66,7 +66,7 @@ def long_body(center: Sequence[float] = (0.0, 0.0, 0.0)) -> np.ndarray:
 
 
 def normalized(name: str, unit: str, x: np.ndarray, bodies: tuple[Any, Any], at: float) -> Curves:
-    """Return curves of all measures over x, divided by their values where x is `at`."""
+    """Return curves of all measures over x, divided by their values at `at`."""
     phi, target = bodies
     k = int(np.argmin(np.abs(x - at)))
     curves = {key: value / value[k] for key, value in squared_distances(phi, target).items()}
@@ -84,7 +84,7 @@ def position_curves(points: int) -> Curves:
 
 
 def orientation_curves(points: int) -> Curves:
-    """Return figure 3.3(b): the same body turned about one of its ends."""
+    """Return figure 3.3(b): the same body rotated about one of its ends."""
     angle = np.linspace(2.0, 180.0, points)
     target = long_body((SIZE[0], 0.0, 0.0))
     phi = change_frame(target, turns(np.deg2rad(angle)), np.zeros(3))
@@ -113,7 +113,7 @@ def mass_curves(masses: np.ndarray, samples: int, rng: np.random.Generator) -> C
 
 
 def frame_and_unit_table(changes: int, rng: np.random.Generator) -> dict[str, Any]:
-    """Return one pair of bodies, seen from random frames in random units of length and mass."""
+    """Return distances of one pair of bodies in random frames and units of length and mass."""
     first, second = long_body(), 1.2 * change_frame(long_body(), turns(0.4), [0.1, 0, 0])
     reference = {k: float(v) for k, v in squared_distances(second, first).items()}
     values = {key: [] for key in ("euclidean", "pullback", "entropic", "riemannian")}
@@ -216,7 +216,7 @@ def draw_curves(curves: Sequence[Curves], note: str = "") -> Figure:
 
 
 def main() -> None:
-    """Measure, print, and write what was asked for."""
+    """Measure, print and write."""
     options = script_parser(__doc__, figures=True).parse_args()
     table = measure(quick=options.quick, seed=options.seed)
     print(json.dumps({key: value for key, value in table.items() if key != "curves"}, indent=2))

@@ -53,13 +53,13 @@ STRIDE = 2.5  # Hz
 
 @dataclass(frozen=True, eq=False)
 class Quantity:
-    """A part of the inverse dynamics as a function of a leg's parameters, all legs being equal."""
+    """A linear part of the inverse dynamics by the parameters of a leg, the same for all legs."""
 
     rows: Array  # (m, 60) regressor, over samples and components
     components: int  # number of components that a sample has
 
     def rms(self, error: Array) -> float:
-        """Return the RMS size over samples of what errors (6, 10) of the parameters make."""
+        """Return the RMS effect over samples of errors (6, 10) of the parameters."""
         values = (self.rows @ error.ravel()).reshape(-1, self.components)
         return float(np.sqrt(np.mean(np.square(values).sum(1))))
 
@@ -86,13 +86,13 @@ def trunk_motion(time: Array) -> Motion:
 
 
 def whole_robot() -> RobotModel:
-    """Return the trunk, floating, with four legs of geared joints."""
+    """Return the floating trunk with four legs of geared joints."""
     gears = geared(ACTUATORS, GEARS * len(LEGS))
     return load_model(MODELS / "cheetah.dmd.yaml", floating=True, transmission=[gears])
 
 
 def gallop(time: Array) -> Motion:
-    """Return motion of the whole robot: of its base, and then of the joints of its legs."""
+    """Return a motion of the whole robot, of its base and then of the joints of its legs."""
     legs = [leg_motion(time, PHASES[leg]) for leg in LEGS]
     joints = Motion(*(np.hstack([getattr(leg, part) for leg in legs]) for part in ("q", "v", "vd")))
     trunk, zero = trunk_motion(time), np.zeros(len(time))
@@ -140,8 +140,7 @@ KINDS = ("euclidean", *SETS, "pullback", "entropic")
 def true_legs(leg: Leg, count: int, rng: np.random.Generator) -> Array:
     """Return legs (count, 6, 10) that differ from the prior by point masses inside the ellipsoids.
 
-    Those of which mass was taken away so that a body no longer fits into its ellipsoid are left
-    out.
+    Legs are left out if a body with removed mass no longer fits into its ellipsoid.
     """
     support, legs = ellipsoid_of_quadric(leg.ellipsoids), np.empty((0, *leg.prior.shape))
     while len(legs) < count:
@@ -161,7 +160,7 @@ def true_legs(leg: Leg, count: int, rng: np.random.Generator) -> Array:
 def identified(
     leg: Leg, points: Mapping[str, PointMasses], A: Array, truth: Array
 ) -> tuple[dict[str, Array], dict[str, float]]:
-    """Return parameters and RMS training errors by regularizer, from torques without noise."""
+    """Return parameters and RMS training errors by regularizer, from noiseless torques."""
     data = Condensed.of(A, A @ truth.ravel())
     euclidean = fit(data, leg, "euclidean", gamma=ALPHA * float(np.square(A).sum()))
     bound, found = euclidean.residual, {"euclidean": euclidean}
@@ -180,7 +179,7 @@ def run(*, seed: int, truths: int) -> tuple[list[dict[str, Any]], int]:
     """Identify `truths` random legs.
 
     Returns:
-        The table, and how many base parameters the motion of the leg tells.
+        The table, and the number of base parameters that the leg's motion identifies.
     """
     rng, leg = np.random.default_rng(seed), load_leg(GEARS)
     time = np.linspace(0.0, 1.0 / STRIDE, 200, endpoint=False)

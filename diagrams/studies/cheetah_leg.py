@@ -44,7 +44,7 @@ POINTS = 300
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """What the study found."""
+    """Results of the study."""
 
     leg: Leg
     # One a size of the training set and regularizer; the last ones for all samples.
@@ -54,9 +54,9 @@ class Study:
 
 
 def run(*, seed: int, sizes: Sequence[int], draws: int) -> Study:
-    """Fit all samples, keep the friction found, and fit draws of each size.
+    """Fit all samples, keep their friction, and fit draws of each size.
 
-    Sizes are numbers of training samples of a stretch; 30 scattered ones are drawn, too.
+    Sizes are numbers of consecutive training samples; there are also draws of 30 scattered ones.
     """
     rng, leg = np.random.default_rng(seed), load_leg()
     points = leg.point_masses(POINTS)
@@ -87,7 +87,7 @@ def run(*, seed: int, sizes: Sequence[int], draws: int) -> Study:
 
 
 def row(samples: int, stretch: bool, kind: str, numbers: Sequence[float]) -> dict[str, Any]:
-    """Return a row of the table: RMS errors in N·m, the deviation over draws."""
+    """Return a row of the table: RMS errors in N·m, with the deviation over draws."""
     own = {"samples": samples, "stretch": stretch, "regularizer": kind}
     names = ("train", "test", "median", "deviation", "prior")
     return own | dict(zip(names, map(float, numbers), strict=True))
@@ -96,7 +96,7 @@ def row(samples: int, stretch: bool, kind: str, numbers: Sequence[float]) -> dic
 def drawn(
     train: Samples, friction: np.ndarray, size: int, stretch: bool, rng: np.random.Generator
 ) -> Condensed:
-    """Return training samples without their friction: one stretch, or scattered."""
+    """Return training samples without their friction, from one stretch or scattered."""
     if stretch:
         first = rng.integers(len(train.torque) - size * SPACING)
         chosen = first + SPACING * np.arange(size)

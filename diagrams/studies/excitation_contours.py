@@ -32,7 +32,7 @@ LARGEST = 2.0  # amplitude, rad
 
 @dataclass(frozen=True)
 class Coordinates:
-    """What the link is described in."""
+    """Frame and units of the link's description."""
 
     name: str
     joint: float
@@ -83,7 +83,7 @@ def criterion_map(coordinates: Coordinates, K: Array, columns: tuple[Array, Arra
 
 
 def run(points: int, samples: int) -> dict[str, Any]:
-    """Return maps of every normalization in every coordinates, and where they are least."""
+    """Return maps of every normalization in every coordinates, and their minima."""
     A = np.linspace(0.05, LARGEST, points)
     offset = np.linspace(-np.pi / 2, np.pi / 2, points + 1 - points % 2)
     grid = np.meshgrid(A, offset, indexing="ij")

@@ -158,7 +158,7 @@ def errors_of(
 
 
 def _named(value: Any) -> Any:
-    """Return errors by the names of what is predicted."""
+    """Return errors by the names of predictions."""
     return value if isinstance(value, str) else dict(zip(PREDICTED, value, strict=True))
 
 
@@ -226,14 +226,14 @@ GAP = 5  # steps beside a block
 
 
 def point_masses(human: Human, number: int) -> PointMasses:
-    """Return so many points, nearly all of the same mass, as the prior's density is uniform."""
+    """Return `number` points of almost equal masses, as the prior's density is uniform."""
     spare = number - 10 * len(NAMES)
     counts = 10 + np.rint(spare * human.prior[:, 0] / human.mass).astype(int)
     return PointMasses.of_bodies(human.prior, counts.tolist())
 
 
 def compare(human: Human, alpha: float, points: PointMasses) -> RegularizerComparison:
-    """Return the fit of equal residual, that of the Euclidean one at α."""
+    """Return the fit with the residual of the Euclidean one at α."""
     own = {"point_mass_euclidean": PointMassEuclidean(points)}
     return compare_regularizers(
         human.A,

@@ -53,7 +53,7 @@ _DENSE = 1000  # samples that stand for those of a motion sampled more often
 def identified_by(
     target: Target, trajectory: ExcitationTrajectory, samples: int
 ) -> IdentifiableParameters:
-    """Return what a motion identifies when it is measured so many times, at equal intervals."""
+    """Return what a motion identifies from `samples` measurements at equal intervals."""
     count = trajectory.family.count if not trajectory.family.timed else min(samples, _DENSE)
     motion = trajectory.motion(trajectory.family.times(count))
     share = samples / len(motion)
@@ -62,7 +62,7 @@ def identified_by(
 
 
 def root_covariance(found: IdentifiableParameters) -> Array:
-    """Return R (p, n_B), R Rᵀ the covariance of parameters but for what data cannot see."""
+    """Return R (p, n_B), R Rᵀ the covariance of parameters without unidentifiable directions."""
     return np.asarray(found.directions * np.sqrt(found.variances))
 
 
@@ -99,19 +99,19 @@ _ACCELERATION = 10.0  # rad/s², of validation, where the model file limits none
 
 @dataclass(frozen=True, eq=False)
 class RepresentedTarget(Target):
-    """A target whose base parameters are written down in another way."""
+    """A target with another representation of its base parameters."""
 
     change: Array | None = None  # (n_B, n_B) S, nonsingular; the base parameters are S φ_B
 
     @cached_property
     def base(self) -> BaseParameters:
-        """S B in the place of B."""
+        """S B instead of B."""
         own = super().base
         return own if self.change is None else replace(own, matrix=self.change @ own.matrix)
 
 
 def manipulator(shared: Path | None) -> RobotModel:
-    """Return the iiwa of the folder `shared`, and an arm of our own with seven joints if None."""
+    """Return the iiwa of the folder `shared`, or this project's seven-joint arm if None."""
     path = MODELS / "arm7.urdf" if shared is None else shared / IIWA
     return replace(load_description(path), effects=())
 
@@ -119,7 +119,7 @@ def manipulator(shared: Path | None) -> RobotModel:
 def represented_target(model: RobotModel, base: int, seed: int) -> Target:
     """Return all inertias of an arm, with a random prior, in a base representation.
 
-    Number one is that of geodrake; the others are it times random matrices.
+    Number one is that of geodrake; the others are random matrices times it.
     """
     rng = np.random.default_rng([seed, 0])
     prior = perturb(model.phi, 1, rng=rng, mass_uncertainty=_UNCERTAINTY).phi[0]
@@ -150,7 +150,7 @@ class Validation:
 
     @classmethod
     def of(cls, model: RobotModel, count: int, seed: int) -> Validation:
-        """Return samples drawn evenly."""
+        """Return uniform samples."""
         rng, bounds = np.random.default_rng([seed, 99]), motion_limits(model)
         fastest = np.where(np.isfinite(bounds.acceleration), bounds.acceleration, _ACCELERATION)
         shape = (count, len(model.joints))
@@ -163,7 +163,7 @@ class Validation:
         return cls(model, inverse_dynamics_regressor(model.tree, q, v, vd), np.array(mass))
 
     def errors(self, target: Target, trajectory: ExcitationTrajectory) -> dict[str, object]:
-        """Return errors to be expected of least squares for a motion at 1 kHz, as in table 4.2."""
+        """Return expected errors of least squares for a motion at 1 kHz, as in table 4.2."""
         found = identified_by(target, trajectory, round(DURATION * RATE))
         effort, acceleration = effort_errors(found, self.regressor, self.mass)
         by_group = [
@@ -176,7 +176,7 @@ class Validation:
 
 @dataclass(frozen=True)
 class Plan:
-    """What every design has in common."""
+    """Settings of all designs."""
 
     shared: str | None  # folder with the iiwa; None for our own arm
     modes: int = 5
@@ -200,7 +200,7 @@ class Cell:
 
 
 def design(cell: Cell, *, plan: Plan) -> dict[str, Any]:
-    """Return the best motion in one representation: what it is worth, and the errors it leaves."""
+    """Return the best motion in one representation, with its criterion and its errors."""
     model = plan.robot
     target = represented_target(model, cell.base, plan.seed)
     trajectory = design_excitation(
@@ -239,13 +239,13 @@ def ratio_less_1(values: Iterable[float]) -> float:
 
 
 def apart(rows: Sequence[dict[str, Any]]) -> float:
-    """Return how far coefficients of motions are from those of the first one."""
+    """Return distances of motions' coefficients from those of the first one."""
     motions = np.array([row["coefficients"] for row in rows])
     return float(np.abs(motions - motions[0]).max())
 
 
 def spread(rows: Sequence[dict[str, Any]], name: str, bases: int, plan: Plan) -> dict[str, float]:
-    """Return how much base representations matter to errors, criteria and motions."""
+    """Return the spread of errors, criteria and motions over base representations."""
     own = [row for row in rows if row["normalization"] == name]
     values = {
         "error": [row["error"] for row in own],

@@ -107,7 +107,7 @@ def payload_target(frame: str) -> Target:
 
 
 def limits() -> MotionLimits:
-    """Return our limits of samples; the source does not state its own."""
+    """Return this study's limits of samples; the source does not state its own."""
     return MotionLimits(
         ("shoulder", "elbow"),
         lower=np.full(2, -np.pi),
@@ -147,7 +147,7 @@ CRITERION = Criterion("condition_number")
 
 
 def design(cell: Cell, *, iterations: int, seed: int) -> dict[str, Any]:
-    """Return the best samples by one normalization in one frame, and the errors that they leave.
+    """Return the best samples by one normalization in one frame, and their errors.
 
     "value_by_frame" has the criterion of the same samples in every frame, and "geometric_value"
     that with geometric normalization, by which all motions can be compared.
@@ -175,14 +175,14 @@ def design(cell: Cell, *, iterations: int, seed: int) -> dict[str, Any]:
 
 
 def errors(trajectory: ExcitationTrajectory) -> dict[str, float]:
-    """Return errors to be expected: those of table 4.1, in frame {3}, and the dimensionless one."""
+    """Return expected errors: those of table 4.1, in frame {3}, and the dimensionless one."""
     found = identified_by(payload_target("3"), trajectory, SAMPLES)
     R, truth = root_covariance(found), scara("3", payload(*TRUTH)).phi[1:]
     return {**errors_in_frame_3(R @ R.T), "error": parameter_error(found, truth)}
 
 
 def spread(rows: Sequence[dict[str, Any]], normalization: str) -> dict[str, float]:
-    """Return how much frames matter to the criterion of the same samples, to errors, to samples."""
+    """Return the spread over frames of the same samples' criterion, of errors, and of samples."""
     own = [row for row in rows if row["normalization"] == normalization]
     return {
         "criterion_largest_over_smallest_less_1": max(

@@ -103,7 +103,7 @@ def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
 
 
 def all_draws(options: argparse.Namespace) -> list[Draw]:
-    """Return the draws that are asked for: of both parts, or of all controllers."""
+    """Return the draws of both parts, or of all controllers, as the options say."""
     speed, worst = laws.speeds("wam", options.gains), SIGMAS[-1]
     if options.controllers:
         return compared_draws(options)
@@ -149,13 +149,13 @@ def compared_draws(options: argparse.Namespace) -> list[Draw]:
 
 
 def speed_of(controller: str, law: str) -> float:
-    """Return γ⁻¹ as chosen."""
+    """Return the chosen γ⁻¹."""
     study = "wam" if controller == PASSIVITY else f"controller_{controller}"
     return laws.speeds(study, "rule")[law]
 
 
 def grid_draws(options: argparse.Namespace) -> list[Draw]:
-    """Return the draws that speeds are chosen on."""
+    """Return the draws from which speeds are chosen."""
     known = {PASSIVITY: laws.LAWS[1:]}
     known |= dict.fromkeys((ACCELERATION, FILTERED), COMPARED[1:]) if options.controllers else {}
     return [
@@ -190,7 +190,7 @@ def figures_of(summary: Sequence[dict[str, Any]]) -> dict[str, Figure]:
 
 
 def tell(options: argparse.Namespace, rows: list[Any]) -> None:
-    """Print and write what came out."""
+    """Print and write the results."""
     summary = summarize(rows)
     show(f"Tracking RMS in degrees, gains: {options.gains}", summary)
     table = {"gains": options.gains, "summary": summary, "rows": rows}

@@ -36,7 +36,7 @@ class Draw:
 
 
 def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
-    """Return a row of the table; nothing is random but the loads of the choice of speeds."""
+    """Return a row of the table; only the loads for the choice of speeds are random."""
     arm = wam.load_loaded()
     load = wam.LOADS.get(draw.load)
     part = "loads" if load is not None else "grid"
@@ -74,13 +74,13 @@ def all_draws(options: argparse.Namespace) -> list[Draw]:
 
 
 def grid_draws(options: argparse.Namespace) -> list[Draw]:
-    """Return the draws that speeds are chosen on."""
+    """Return the draws from which speeds are chosen."""
     tried = product(laws.LAWS[1:], laws.GRID, range(4))
     return [Draw(str(k), law, speed, 1) for law, speed, k in tried]
 
 
 def tell(options: argparse.Namespace, rows: list[Any]) -> None:
-    """Print and write what came out."""
+    """Print and write the results."""
     lines = [{**r, "first": r["rounds"][0], "last": r["rounds"][-1]} for r in rows]
     show(f"Tracking RMS in degrees, gains: {options.gains}", lines)
     table = {"gains": options.gains, "period": loop.SHOWN_PERIOD, "rows": rows}

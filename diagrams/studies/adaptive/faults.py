@@ -28,7 +28,7 @@ NOISE = 0.05  # rad, and rad/s
 
 @dataclass(frozen=True)
 class Sample:
-    """What a faulty sensor makes its value of."""
+    """The state and its past, from which a faulty sensor makes its value."""
 
     true: Array  # (2 n,) the state
     earlier: Array  # (2 n,) the state of `DELAY` samples before
@@ -37,11 +37,11 @@ class Sample:
     rng: np.random.Generator
 
     def one(self) -> int:
-        """Return any one of the places."""
+        """Return a random component of the state."""
         return int(self.rng.integers(len(self.true)))
 
     def often(self, every: int, length: int = 1) -> bool:
-        """Return whether this sample is one of the first `length` of `every`."""
+        """Return whether a sample is one of the first `length` of `every`."""
         return self.number % every < length
 
 
@@ -104,7 +104,7 @@ class Episode:
 
 
 class FaultySensor(LeafSystem):
-    """Measures a state, and does it wrong for a while now and then."""
+    """Sensor of a state, with a fault during each episode."""
 
     def __init__(self, size: int, episodes: Sequence[Episode], *, seed: int) -> None:
         LeafSystem.__init__(self)
@@ -144,7 +144,7 @@ class FaultySensor(LeafSystem):
 
 
 class WeakActuators(LeafSystem):
-    """Actuators that have lost most of their strength for a while, which nobody knows."""
+    """Actuators that lose most of their strength during episodes, unknown to controllers."""
 
     def __init__(self, limits: Array, episodes: Sequence[Episode]) -> None:
         """Construct the system with the remaining limits (n,) of efforts, N·m."""
@@ -162,7 +162,7 @@ class WeakActuators(LeafSystem):
 
 
 class NoisyVelocities(LeafSystem):
-    """Positions as they are, and velocities with white noise that is held for a millisecond."""
+    """Exact positions, and velocities with white noise that is held for a millisecond."""
 
     def __init__(self, size: int, deviation: float, *, duration: float, seed: int) -> None:
         """Construct the system with a standard deviation of the noise, rad/s."""

@@ -55,14 +55,14 @@ CHOSEN = {
 
 
 def speeds(study: str, kind: str) -> dict[str, float]:
-    """Return γ⁻¹ of every law: of the source, or as chosen by the rule."""
+    """Return γ⁻¹ of every law, the source's or the rule's."""
     return {NONE: 1.0, **(SOURCE_SPEEDS if kind == "source" else CHOSEN[study])}
 
 
 def cells(
     rows: Sequence[Any], names: Sequence[str]
 ) -> Iterator[tuple[dict[str, Any], list[Any], list[Any]]]:
-    """Yield a line for all rows with the same values of some columns, the rows, and those kept."""
+    """Yield a line for all rows with equal values of some columns, these rows, and those kept."""
     for cell in dict.fromkeys(tuple(row[name] for name in names) for row in rows):
         found = [row for row in rows if tuple(row[name] for name in names) == cell]
         kept = [row for row in found if not row["lost"]]
@@ -81,7 +81,7 @@ def cells(
 
 
 def grid_lines(rows: Sequence[Any], group: str) -> list[dict[str, Any]]:
-    """Return a line for each speed, law and value of the column `group`, the chosen ones marked."""
+    """Return a line for each speed, law and value of the column `group`, with the chosen marked."""
     lines = [{**line, "chosen": ""} for line, *_ in cells(rows, (group, "law", "speed"))]
     for value, law in dict.fromkeys((line[group], line["law"]) for line in lines):
         own = [line for line in lines if (line[group], line["law"]) == (value, law)]

@@ -37,7 +37,7 @@ def timed(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """What a closed loop did, every 10 ms."""
+    """Record of a closed loop, every 10 ms."""
 
     time: Array  # (N,) s
     error: Array  # (N, n) q − q_d, rad
@@ -170,7 +170,7 @@ def on_its_base(path: Path, base: str, plant: MultibodyPlant, *, damping: float 
 
 
 def resting(parts: Iterable[tuple[Array, Array]]) -> PiecewisePolynomial:
-    """Join splines, of times and positions (n, k) each, that are at rest at their ends."""
+    """Join splines, of times and positions (n, k) each, that rest at their ends."""
     whole = PiecewisePolynomial()
     for k, (time, q) in enumerate(parts):
         still = np.zeros((len(q), 1))

@@ -55,7 +55,7 @@ POINT_TRIALS = 20
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """The arm with everything that the measurements come from."""
+    """The arm, as measurements are simulated with it."""
 
     plant: MultibodyPlant
     transmission: Transmission
@@ -63,7 +63,7 @@ class Arm:
 
     @classmethod
     def load(cls) -> Arm:
-        """Return the arm of the model file, with our rotors."""
+        """Return the arm of the model file, with this study's rotors."""
         plant = load_plant(MODEL).plant
         rotor = np.diag([0.6, 0.6, 1.0]) * ROTOR_INERTIA[:, None, None]
         rotors = from_mass_com_inertia(np.full(7, ROTOR_MASS), np.zeros((7, 3)), rotor)
@@ -71,7 +71,7 @@ class Arm:
         return cls(plant, transmission(), phi)
 
     def motors(self, turns: Array) -> Array:
-        """Return motor positions (..., 7) of the turns (..., 7) of the arm, rad."""
+        """Return motor positions (..., 7) for the turns (..., 7) of the arm, rad."""
         wrist = turns[..., 5:] @ np.array([[1.0, 1.0], [1.0, -1.0]])
         return REDUCTION * np.concatenate([turns[..., :5], wrist], axis=-1)
 
@@ -115,10 +115,10 @@ def friction_regressor(v: Array) -> Array:
 
 
 def perturbed(phi: Array, rng: np.random.Generator, delta: float) -> Array:
-    """Return the bodies (17, 10) as somebody knows them who has never seen the arm.
+    """Return wrong bodies (17, 10), as without measurements of the arm.
 
-    Every link has ten point masses in and around it added or taken away, up to a share δ of its
-    mass in all ([Lee2019] Eq. (B.2.11)); a rotor, of which one number counts, is scaled by 1 ± δ.
+    Ten point masses in and around every link are added or removed, at most a share δ of its mass
+    in all ([Lee2019] Eq. (B.2.11)); a rotor, of which one number counts, is scaled by 1 ± δ.
     """
     support = equivalent_ellipsoid(phi[:10]).scaled(SUPPORT)
     links = perturb(phi[:10], 1, rng=rng, mass_uncertainty=delta, support=support).phi[0]
@@ -196,7 +196,7 @@ LINKS = 100  # columns of the links
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """Arrays that fits and their tests need, nothing of Drake."""
+    """Arrays for fits and their tests, without objects of Drake."""
 
     bodies: Array  # (N, 7, 170) regressor of links and rotors, of the training samples
     friction: Array  # (N, 7, 14) regressor of friction
@@ -233,9 +233,9 @@ def point_to_point(arm: Arm, rng: np.random.Generator) -> Motion:
 
 
 def uneven_friction(motion: Motion, rng: np.random.Generator) -> Array:
-    """Return friction (N, 7) that no parameter explains, by the position, as the source found.
+    """Return friction (N, 7) by position, which no parameter explains, as the source found.
 
-    At full data it makes up most of the test error of 0.012 N·m there, and of ours.
+    At full data it makes up most of the test error, 0.012 N·m there and here.
     """
     turn = WAVES * motion.q / REDUCTION + rng.uniform(0.0, 2.0 * np.pi, 7)
     return np.sqrt(2.0) * UNEVEN * COULOMB * np.sin(turn) * np.sign(motion.v)

@@ -64,7 +64,7 @@ class Leg:
         return inverse_dynamics_regressor(self.model.tree, motion.q, motion.v, motion.vd)
 
     def point_masses(self, number: int) -> PointMasses:
-        """Return points all over the bodies' ellipsoids, so many in all, as heavy as the prior."""
+        """Return `number` points all over the bodies' ellipsoids, as heavy as the prior."""
         counts = [len(part) for part in np.array_split(np.arange(number), len(self.prior))]
         return PointMasses.within(self.prior, ellipsoid_of_quadric(self.ellipsoids), counts)
 
@@ -106,7 +106,7 @@ class Samples:
 
 
 def swing(time: Array, rng: np.random.Generator) -> Motion:
-    """Return a leg swinging in the air: six random sines for each joint."""
+    """Return a swing of the leg in the air, six random sines for each joint."""
     middle, reach = np.array([0.0, 0.5, -1.2]), np.array([0.35, 0.7, 0.7])
     rate, phase = 2 * np.pi * rng.uniform(0.2, 2.2, (6, 3)), rng.uniform(0, 2 * np.pi, (6, 3))
     size = reach * rng.uniform(0.2, 0.6, (6, 3)) / (1 + 0.075 * rate)
@@ -150,7 +150,7 @@ NEAR = 1.001
 
 @dataclass(frozen=True, eq=False)
 class Condensed:
-    """Data of A x ≈ b in as many rows as they have information."""
+    """A x ≈ b, reduced to its triangular factor."""
 
     A: Array  # (r, p) rows
     b: Array  # (r,) measurements
@@ -181,7 +181,7 @@ def fit(data: Condensed, leg: Leg, kind: str | Regularizer, **more: Any) -> Iden
 def fit_points(
     data: Condensed, leg: Leg, points: PointMasses, residual: float, **more: Any
 ) -> IdentificationResult:
-    """Return point masses with a residual, or a little more if none have it."""
+    """Return point masses of a residual or, if none have it, of slightly more than the least."""
     kind = PointMassEuclidean(points)
     try:
         return fit(data, leg, kind, residual_bound=residual, **more)
