@@ -259,7 +259,9 @@ def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
     if diagnosis.candidates:
         first = diagnosis.candidates[0]
         where = words.places_label(first.where, units.driven, most=words.MOST_NAMED)
-        headline = f"Missing: {words.effect_label(first.effect)} ({where})."
+        verb = "are" if " + " in first.effect else "is"
+        label = words.capitalized(words.effect_label(first.effect))
+        headline = f"{label} ({where}) {verb} missing."
     joints, failing = shown.sections()
     effect_tiles = [] if best is None else [Tile("with the effect", number(best), "held-out nrms")]
     return shown.page(

@@ -42,7 +42,17 @@ class Table:
     @property
     def in_short(self) -> Table:
         """Return the table without its deep columns."""
-        kept = [name not in self.deep for name in self.head]
+        return self._columns([name not in self.deep for name in self.head])
+
+    @property
+    def in_depth(self) -> Table:
+        """Return the first column and the deep columns, without rows that are empty there."""
+        kept = [name in self.deep for name in self.head]
+        table = self._columns([True, *kept[1:]])
+        rows = [row for row in table.rows if any(cell.text for cell in row[1:])]
+        return replace(table, rows=rows, words=1)
+
+    def _columns(self, kept: Sequence[bool]) -> Table:
         rows = [tuple(compress(row, kept)) for row in self.rows]
         return replace(self, head=tuple(compress(self.head, kept)), rows=rows)
 

@@ -8,11 +8,14 @@ from typing import Any
 
 from rich import box
 from rich.console import Console
+from rich.measure import Measurement
 from rich.table import Table as Grid
 from rich.text import Text
 
 from geodrake.boundary.escaping import printable
 from geodrake.report.page import Page, Section, Table
+
+_UNLIMITED = 10_000  # columns
 
 
 class ResultsConsole(Console):
@@ -62,7 +65,11 @@ def show_section(console: Console, section: Section, *, details: bool = True) ->
         if not table.detailed:
             if table.title:
                 _head(console, table.title)
-            _show_table(console, table if details else table.in_short)
+            is_split = details and table.deep and not _fits(console, table)
+            console.print(_grid(console, table if details and not is_split else table.in_short))
+            if is_split:
+                console.print()
+                console.print(_grid(console, table.in_depth))
     _show_items(console, (*section.items, *section.commands))
 
 
@@ -103,7 +110,13 @@ def _show_items(console: Console, items: Sequence[str]) -> None:
             console.print(f"- {item}", soft_wrap=True)
 
 
-def _show_table(console: Console, table: Table) -> None:
+def _fits(console: Console, table: Table) -> bool:
+    """Return whether a table needs no more columns than the terminal has."""
+    unlimited = console.options.update(max_width=_UNLIMITED)
+    return Measurement.get(console, unlimited, _grid(console, table)).maximum <= console.width
+
+
+def _grid(console: Console, table: Table) -> Grid:
     grid = Grid(
         box=box.SIMPLE_HEAD if console.is_terminal else None,
         show_edge=False,
@@ -120,7 +133,7 @@ def _show_table(console: Console, table: Table) -> None:
         if table.total and k == len(table.rows) - table.total:
             grid.add_section()
         grid.add_row(*(_printable_lines(cell.typed or cell.text) for cell in row))
-    console.print(grid)
+    return grid
 
 
 def _printable_lines(text: str) -> Text:

@@ -67,7 +67,7 @@ def test_explain_prints_saves_and_writes_numbers(log, tmp_path):
 
 def test_diagnose_ranks_and_saves_the_model_as_loaded(log, tmp_path):
     saved, numbers = tmp_path / "model.yml", tmp_path / "d.json"
-    assert "Missing: " in told("diagnose", MODEL, log, "--save", saved, "--json", numbers)
+    assert " is missing." in told("diagnose", MODEL, log, "--save", saved, "--json", numbers)
     found = json.loads(numbers.read_text())
     assert found["candidates"][0]["effect"] in ("coulomb_friction", "viscous_friction")
     assert found["error"]["start_nrms"] > found["candidates"][0]["error_after"]

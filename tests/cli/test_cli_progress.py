@@ -140,6 +140,14 @@ def test_nothing_is_wider_than_the_terminal_or_cut(model, added, compared):
         assert terminal or not re.search("[─━│\x1b]", text)
 
 
+def test_a_table_that_is_too_wide_is_printed_in_two(model, added):
+    for terminal, parts in ((True, 2), (False, 1)):
+        text = printed(added, model, terminal=terminal)
+        rows = re.findall(r"^viscous_friction  .*", text, re.M)
+        assert len(rows) == parts
+        assert "all 6 joints" in rows[0] and re.search(r"\d %", rows[-1])
+
+
 def test_terminal_and_page_say_the_same(model, added, compared):
     for result in (added, compared):
         page = page_of(result, About(units=Units.of(model)))

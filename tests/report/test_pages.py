@@ -159,7 +159,7 @@ def test_verdicts_without_steps():
 def test_a_diagnosis_names_ties_or_nothing():
     joints = joint_names(3)
     text = unescape(check_self_contained(page(diagnosis(joints), saved="my arm.yaml")))
-    assert "Missing: Coulomb friction + viscous friction (all 3 joints)." in text
+    assert "Coulomb friction + viscous friction (all 3 joints) are missing." in text
     assert "Or instead asymmetric friction" in text
     command = "geodrake excite 'my arm.yaml' --tell-apart coulomb_friction,asymmetric_friction"
     assert f"{command} --save motion_1.csv" in text
