@@ -209,6 +209,18 @@ def _findings(steps: Sequence[Step], units: Units) -> str:
     return ", ".join(effect_label(step.effect) for step in steps)
 
 
+def _doubtful(step: Step) -> str:
+    """Return an effect with its probability, and what is more probable in its place."""
+    other, likeliest = "", step.probability
+    for words, share in (
+        ("something unknown", step.unknown_probability),
+        ("nothing", step.false_alarm_probability),
+    ):
+        if share > likeliest:
+            other, likeliest = f"; more likely {words}", share
+    return f"{effect_label(step.effect)} ({percent(step.probability)}{other})"
+
+
 def explanation_facts(
     explanation: Explanation, units: Units, *, added: bool, advised: bool
 ) -> dict[str, str]:
@@ -223,7 +235,7 @@ def explanation_facts(
     ]
     facts = {
         "Effect" if added else "Missing": _findings(certain, units),
-        "Less certain": _findings([step for step in steps if step not in certain], units),
+        "Less certain": ", ".join(_doubtful(step) for step in steps if step not in certain),
         "No help": listed(worse),
         "Interrupted": "more may be missing" * explanation.is_interrupted,
     }

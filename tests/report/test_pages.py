@@ -96,6 +96,17 @@ def test_pages_contain_all_joints_and_findings():
         assert words in texts[0]
 
 
+def test_doubtful_findings_say_what_is_more_likely():
+    joints = joint_names(1)
+    alone = dataclasses.replace(friction(joints), rivals=(), unknown_probability=0.1)
+    likely, doubtful = (
+        page_of(explanation(joints, (each,))).facts
+        for each in (alone, dataclasses.replace(alone, unknown_probability=0.62))
+    )
+    assert likely["Missing"] and not likely["Less certain"] and not doubtful["Missing"]
+    assert doubtful["Less certain"] == "Coulomb friction (38 %; more likely something unknown)"
+
+
 def test_bodies_are_shown_before_and_after():
     com = np.array([[0.0, 0.0, 0.0], [0.01, 0.0, 0.0]])
     body = BodyChange("hand", (2.0, 2.5), com, 0.1, np.full(3, 0.002), False, 0.4)
