@@ -41,6 +41,7 @@ _MOST_PAIRS, _MOST_DRAWN = 12, 4
 _MOST_COMBINATIONS, _MOST_DIRECTIONS = 12, 8
 _SMALL = 0.05  # share of a direction below which a body is not named
 _LEAST_POSSIBLE = 0.5  # parameters; bodies with fewer possible ones are not mentioned
+_LEAST_SHOWN = 0.05  # parameters; fewer are printed as 0.0
 _FULL, _HARDLY = 0.9, 0.1  # shares of a body that count as "all of" and "hardly any of" it
 _LEAST_DEVIATION = 1e-6  # smallest deviation on the logarithmic axis
 
@@ -407,7 +408,7 @@ def _identifiable_facts(found: LogIdentifiability) -> dict[str, str]:
         "Hardly any of": listed([body.name for body in bodies if body.share < _HARDLY]),
         "Not identifiable": unknown,
         "Effects": "all parameters are identifiable" if found.effects and not unknown else "",
-        "If only sensor noise remained": f"{found.count_at_floor} directions" if is_less else "",
+        "With sensor noise only": f"{found.count_at_floor} directions" if is_less else "",
     }
 
 
@@ -435,7 +436,7 @@ def _bodies_table(found: LogIdentifiability) -> Table:
             body.name,
             Cell(f"{body.count:.1f}", bar=min(1.0, body.share)),
             f"{body.possible:.1f}",
-            percent(body.share),
+            percent(body.share) if body.possible >= _LEAST_SHOWN else UNKNOWN,
         )
         for body in found.bodies
     ]
