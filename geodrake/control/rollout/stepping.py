@@ -24,6 +24,7 @@ from scipy.interpolate import CubicHermiteSpline
 from geodrake.control.rollout.passages import FASTEST, Conditions, LoggedRobot, Passage
 from geodrake.control.rollout.simulation import hidden_states
 from geodrake.effects import RobotMotion, Role
+from geodrake.effects.effect_columns import EffectColumns
 from geodrake.effects.robot_motion import log_number
 from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
@@ -160,6 +161,13 @@ class Stepping:
         rows = zip(*(robot.gains for robot in self.robots), strict=True)
         return ServoGains(*map(np.array, rows))
 
+    @cached_property
+    def _forces(self) -> tuple[EffectColumns, Array]:
+        """Columns of the effects that are forces, and their parameters."""
+        forces = [f for f in self.model.effects if f.effect.role in (Role.FORCE, Role.EPISODE)]
+        columns = EffectColumns(self.model.joints, tuple(fitted.effect for fitted in forces))
+        return columns, np.concatenate([np.zeros(0), *(fitted.parameters for fitted in forces)])
+
     def _initial_state(self) -> State:
         """Return the state at the start of the passages, after the measured motion before them."""
         width, rows = self.conditions.sign_width, []
@@ -257,11 +265,8 @@ class Stepping:
         robot_motion = model.motion(series, sign_width=width, load=tiled[3])
         robot_motion = replace(robot_motion, log=log_number(self.passages[0].log))
         robot_motion, hidden = self._with_states(robot_motion, base.hidden, end.step)
-        effort = np.zeros_like(tiled[3])
-        for fitted in model.effects:
-            if fitted.effect.role in (Role.FORCE, Role.EPISODE):
-                effort += fitted.effect.effort(robot_motion, fitted.parameters)
-        nominal, *changed = np.split(effort, 5)
+        columns, parameters = self._forces
+        nominal, *changed = np.split(columns.effort(robot_motion, parameters), 5)
         pairs = zip(changed, sizes, strict=True)
         slopes = tuple((other - nominal) / size for other, size in pairs)
         return load + nominal, slopes, hidden[:count]
