@@ -15,7 +15,7 @@ from geodrake import compiling
 ROOT = Path(__file__).parents[1]
 
 
-def test_without_room_it_is_compiled_all_the_same(monkeypatch, tmp_path):
+def test_without_room_it_is_compiled_all_the_same(monkeypatch):
     def full(*arguments):
         raise OSError(28, "No space left on device")
 

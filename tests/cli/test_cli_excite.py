@@ -153,7 +153,7 @@ class TestTellApart:
         assert "gravity_tilt the whole robot cubic_friction" in output
         assert "cubic_friction elbow gravity_tilt" in output
 
-    def test_effects_of_a_saved_model_keep_their_size(self, tmp_path):
+    def test_effects_of_a_saved_model_keep_their_size(self):
         model = load_model(PENDULUM)
         friction = FittedEffect(CoulombFriction("elbow"), np.array([0.05]))
         robot, pair = replace(model, effects=(friction,)), rivals_in(f"{self.PAIR}@elbow")

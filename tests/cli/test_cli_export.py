@@ -122,7 +122,7 @@ def test_other_formats_without_a_log(to, files, folder, tmp_path):
     assert ("without geometry" in " ".join(numbers["notes"])) == (to == "mjcf")
 
 
-def test_a_different_file_is_noticed(folder, tmp_path, monkeypatch):
+def test_a_different_file_is_noticed(folder, monkeypatch):
     kept = proof.without
     monkeypatch.setattr(proof, "without", lambda model, kinds: kept(load_model(MODEL), kinds))
     output, _ = export(folder / "model.yaml", "--to", "urdf", "out")

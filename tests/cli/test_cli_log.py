@@ -181,7 +181,7 @@ def test_bad_rows_are_left_out_if_asked(tmp_path):
     assert "1 of 2400 rows are corrupt and skipped: 700" in output
 
 
-def test_one_axis_without_a_model(tmp_path):
+def test_one_axis_without_a_model():
     time = np.arange(4000) / 200.0
     q, v, vd = (f(1.7 * time + np.pi / 2 * k) * 1.7**k for k, f in enumerate([np.sin] * 3))
     force = 90.0 * vd + 20.0 * np.tanh(100 * v) + 0.1 * np.random.default_rng(0).normal(size=4000)

@@ -166,7 +166,7 @@ def read_back(digest, folder):
     return read_digest(path)
 
 
-def test_the_same_log_gives_the_same_file(logs, settings, digests):
+def test_the_same_log_gives_the_same_file(logs, digests):
     again = digested(MODEL, logs[0], make_settings(MODEL, logs[0]))
     assert digest_content(again) == digest_content(digests[0])
 

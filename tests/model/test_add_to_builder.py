@@ -172,7 +172,7 @@ class TestFiles:
         assert note.startswith("meshes that are not shown: package://no/where.obj (")
 
 
-def test_bodies_that_cannot_be(tmp_path):
+def test_bodies_that_cannot_be():
     model = load_model(DEMO)
     phi = model.phi.copy()
     phi[2, 4:7] *= -1.0
