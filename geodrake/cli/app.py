@@ -93,38 +93,30 @@ app = typer.Typer(
     epilog="Start with: geodrake demo. Then: geodrake explain robot.urdf log.csv",
 )
 
-_COMMANDS: dict[str, dict[str, tuple[str, type[Any]]]] = {
-    "Find what a model is missing": {
-        "demo": ("explaining.run_demo", options.DemoOptions),
-        "log": ("logs.run_log", options.LogCommandOptions),
-        "compare": ("explaining.run_compare", options.CompareOptions),
-        "explain": ("explaining.run_explain", options.ExplainOptions),
-        "diagnose": ("explaining.run_diagnose", options.DiagnoseOptions),
-        "add": ("explaining.run_add", options.AddOptions),
-    },
-    "Use a model": {
-        "rollout": ("rollout.run_rollout", options.RolloutOptions),
-        "play": ("play.run_play", options.PlayOptions),
-        "export": ("export.run_export", options.ExportOptions),
-        "check": ("export.run_check", options.CheckOptions),
-    },
-    "Identify parameters": {
-        "excite": ("excite.run_excite", options.ExciteOptions),
-        "identifiable": ("excite.run_identifiable", options.IdentifiableOptions),
-        "identify": ("identify.run_identify", options.IdentifyOptions),
-    },
-    "Watch many robots": {
-        "digest": ("logs.run_digest", options.DigestOptions),
-        "fleet": ("fleet.run_fleet_command", options.FleetOptions),
-    },
-}
-"""Panel -> command -> its function, and its options class, whose docstring is its help."""
+_FIND, _USE = "Find what a model is missing", "Use a model"
+_IDENTIFY, _WATCH = "Identify parameters", "Watch many robots"
 
-EXAMPLES = {
-    name: options.examples_of(kind)
-    for commands in _COMMANDS.values()
-    for name, (_, kind) in commands.items()
+_COMMANDS: dict[str, tuple[str, str, type[Any]]] = {
+    "demo": (_FIND, "explaining.run_demo", options.DemoOptions),
+    "log": (_FIND, "logs.run_log", options.LogCommandOptions),
+    "compare": (_FIND, "explaining.run_compare", options.CompareOptions),
+    "explain": (_FIND, "explaining.run_explain", options.ExplainOptions),
+    "diagnose": (_FIND, "explaining.run_diagnose", options.DiagnoseOptions),
+    "add": (_FIND, "explaining.run_add", options.AddOptions),
+    "rollout": (_USE, "rollout.run_rollout", options.RolloutOptions),
+    "play": (_USE, "play.run_play", options.PlayOptions),
+    "export": (_USE, "export.run_export", options.ExportOptions),
+    "check": (_USE, "export.run_check", options.CheckOptions),
+    "excite": (_IDENTIFY, "excite.run_excite", options.ExciteOptions),
+    "identifiable": (_IDENTIFY, "excite.run_identifiable", options.IdentifiableOptions),
+    "identify": (_IDENTIFY, "identify.run_identify", options.IdentifyOptions),
+    "digest": (_WATCH, "logs.run_digest", options.DigestOptions),
+    "fleet": (_WATCH, "fleet.run_fleet_command", options.FleetOptions),
 }
+"""Command -> its group in the help, its function, and its options class, whose docstring is its
+help."""
+
+EXAMPLES = {name: options.examples_of(kind) for name, (*_, kind) in _COMMANDS.items()}
 
 
 def main() -> None:
@@ -134,13 +126,11 @@ def main() -> None:
         app(prog_name="geodrake")
 
 
-for _panel, _commands in _COMMANDS.items():
-    for _name, (_place, _kind) in _commands.items():
-        _lines = [f"geodrake {_name} {example}" for example in EXAMPLES[_name]]
-        _epilog = "\n\n".join(["Examples:", *_lines]) if _lines else None
-        app.command(name=_name, cls=_Command, epilog=_epilog, rich_help_panel=_panel)(
-            options.command_of(_place, _kind)
-        )
+for _name, (_group, _place, _kind) in _COMMANDS.items():
+    _lines = [f"geodrake {_name} {example}" for example in EXAMPLES[_name]]
+    _epilog = "\n\n".join(["Examples:", *_lines]) if _lines else None
+    _add = app.command(name=_name, cls=_Command, epilog=_epilog, rich_help_panel=_group)
+    _add(options.command_of(_place, _kind))
 
 
 def _print_version(wanted: bool) -> None:

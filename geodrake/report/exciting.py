@@ -22,7 +22,7 @@ from geodrake.inertia import Array
 from geodrake.report.charts import MOST_PANELS, Chart, Panel, Plot, Stage
 from geodrake.report.json_output import keys_of
 from geodrake.report.numbers import UNKNOWN, Units, number, percent, relative
-from geodrake.report.page import About, Cell, Page, Section, Table, Tile, View, cells
+from geodrake.report.page import About, Cell, Page, Section, Table, View, cells
 from geodrake.report.views import Columns
 from geodrake.report.words import capitalized, effect_label, listed, places_label
 
@@ -89,7 +89,6 @@ def excitation_page(result: ExcitationResult, about: About) -> Page:
         of=f"{about.model}: {_motion_words(result)}",
         verdict="designed",
         facts={**facts, **_motion_facts(result)},
-        tiles=_tiles(result),
         footer="Made by geodrake. Limits also hold between samples; the information is that of "
         "the samples with the requested noise.",
     )
@@ -177,24 +176,6 @@ def _motion_facts(result: ExcitationResult) -> dict[str, str]:
             facts["Before it"] = "the robot is at rest, where the motion begins and ends"
             facts["Duration"] = f"{result.executed.length:.1f} s with the ramps from and to rest"
     return facts
-
-
-def _tiles(result: ExcitationResult) -> tuple[Tile, ...]:
-    """Return the key numbers of a motion; for pairs, those of the hardest."""
-    objective, gained = result.objective, improvement(result)
-    if pairs := distinguished_pairs(result):
-        least, gained = f"{number(pairs[0].deviations)} σ", gained**0.5
-        clear = sum(entry.deviations >= CLEAR for entry in pairs)
-        first = Tile("smallest difference", least, "of the noise in all samples")
-        last = [Tile("pairs", str(len(pairs)), f"with at least {number(CLEAR)} σ: {clear}")]
-    else:
-        criterion = objective.criterion.name.replace("_", " ")
-        first = Tile(criterion, number(result.value), f"{objective.normalization} normalization")
-        count = f"{identifiable_directions(result)} of {len(result.eigenvalues)}"
-        last = [Tile("directions identifiable", count, f"to {percent(THRESHOLD**0.5)}")]
-        last *= objective.normalization == "geometric"
-    better = Tile("better than random", f"{number(gained)} ×", "than the best initial motion")
-    return (first, better, *last)
 
 
 def _directions_section(result: ExcitationResult) -> Section:
@@ -343,7 +324,6 @@ def _motion_chart(result: ExcitationResult, units: Units) -> Chart:
 def identifiability_page(found: LogIdentifiability, about: About) -> Page:
     """Return the page of the identifiability of logs."""
     threshold = percent(found.identifiable.threshold**0.5)
-    count, total = sum(entry.is_identifiable for entry in found.effects), len(found.effects)
     unidentifiable = found.unidentifiable
     combinations = [
         cells(each.words, each.value, each.deviation, relative(each.relative))
@@ -386,13 +366,6 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
         ),
         verdict="identifiable",
         facts=_identifiable_facts(found),
-        tiles=(
-            Tile("directions identifiable", directions, f"to within {threshold}"),
-            Tile(
-                "at sensor noise alone", f"{found.count_at_floor}", "if only sensor noise remained"
-            ),
-            *([Tile("effects identifiable", f"{count} of {total}")] if total else []),
-        ),
         footer="Made by geodrake. Relative deviations are lengths in the geometric metric of "
         "inertial parameters, which depend neither on frames nor on units.",
     )

@@ -42,7 +42,6 @@ from geodrake.report.numbers import (
     chance,
     estimate,
     if_known,
-    is_noticed,
     number,
     percent,
     with_deviation,
@@ -288,12 +287,9 @@ def explanation_page(found: Explanation, about: About) -> Page:
     removed, draft = words.explained_share(start.nrms, end.nrms), explanation.draft
     correlates = draft.correlates if draft else explanation.correlates
     signals = explanation.model.effort_signals
-    has_systematic = any(
-        is_noticed(step.deviations[place][name], systematic)
-        for step in steps
-        for place, deviations in step.systematic.items()
-        for name, systematic in deviations.items()
-    )
+    parameters = tuple(parameters_table(step, units) for step in steps if step.parameters)
+    entries = [cell.text for table in parameters for row in table.rows for cell in row]
+    has_systematic = any(text.count("±") > 1 for text in entries)
     shown = _Errors(
         {"start": start, "refitted": explanation.refitted, "end": end},
         {BEFORE: explanation.before, **({AFTER: explanation.after} if steps else {})},
@@ -330,7 +326,7 @@ def explanation_page(found: Explanation, about: About) -> Page:
             Section(
                 "Parameters",
                 f"Value ± standard deviation. {_NOTICED if has_systematic else ''}".rstrip(),
-                tables=tuple(parameters_table(s, units) for s in steps if s.parameters),
+                tables=parameters,
                 deep=True,
             ),
             Section(

@@ -16,7 +16,7 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.report.charts import MOST_PANELS, Chart, Panel, Plot, Stage, gap_filled
 from geodrake.report.json_output import record
 from geodrake.report.numbers import Units, chance, number, percent, with_deviation
-from geodrake.report.page import About, Page, Section, Table, Tile, View, cells
+from geodrake.report.page import About, Page, Section, Table, View, cells
 from geodrake.report.views import rollout_series
 from geodrake.report.words import capitalized, effect_label
 
@@ -58,16 +58,14 @@ def rollout_page(found: Simulated | Rollout, about: About) -> Page:
         tables=(departures_table(after, before, units),),
         charts=(rollout_chart(after, before, units),),
     )
-    tiles = [Tile("before", departure(before.relative), "of the motion")] if before else []
-    tiles.append(Tile("departure", departure(after.relative), "of the motion"))
     sections = motion, Section("Notes", items=after.notes)
-    page = Page(about, f"{headline}.", sections, verdict="simulated", tiles=tuple(tiles))
+    page = Page(about, f"{headline}.", sections, verdict="simulated")
     return _with_rollout(page, after)
 
 
 def rollout_fit_page(found: RolloutFit, about: About) -> Page:
     """Return the page of a fit to rollouts."""
-    units, (before, after) = about.units, found.held_out
+    units, (_, after) = about.units, found.held_out
     tested = sum(found.tested)
     fitted = "elastic joints and backlash"
     if not is_soft(found.model):
@@ -88,28 +86,21 @@ def rollout_fit_page(found: RolloutFit, about: About) -> Page:
             charts=(rollout_chart(found.after, found.before, units),),
         ),
     )
-    tiles = (
-        Tile("before", departure(before.relative), "of the motion, held out"),
-        Tile("fitted", departure(after.relative), "of the motion, held out"),
-    )
     page = Page(
         about,
         capitalized(rollout_fit_words(found)),
         (*sections, Section("Notes", items=found.notes)),
         verdict="fitted",
         facts={"Fitted": f"{fitted}; all else is unchanged"},
-        tiles=tiles,
     )
     return _with_rollout(page, after)
 
 
 def _with_rollout(page: Page, after: Rollout) -> Page:
     """Return a page with the parts common to all pages of rollouts."""
-    horizon = Tile("horizon", f"{after.horizon:g} s", "from a measured state on")
     return replace(
         page,
         of=f"{page.about.model} under the {after.under} of {', '.join(page.about.logs)}",
-        tiles=(*page.tiles, horizon),
         footer="Made by geodrake: a plant with the model's inertias and effects under the logged "
         f"{after.under}.",
     )

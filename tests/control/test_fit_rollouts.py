@@ -200,7 +200,7 @@ def test_results_say_what_they_are_under(pendulum):
     late = FittedValue("servo", "hinge", "delay", 5.1e-3, 13e-3, 1e-5)
     for values, words in (
         ((), ("arm under the commands of log", "under the logged commands")),
-        ((late,), ("Elastic joints, backlash, servos and motors", "delay, ms", "5.10", "13.000")),
+        ((late,), ("elastic joints, backlash, servos and motors", "delay, ms", "5.10", "13.000")),
     ):
         found = RolloutFit(model, values, rollout, rollout, (False, True), 0.2)
         page = render(page_of(found, About("arm", ("log",))))
