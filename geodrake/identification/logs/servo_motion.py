@@ -99,17 +99,18 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
     steps = max(_STEPS, int(np.ceil(period / _LONGEST_STEP)))
     kp, kr, d, F, armature, delay, offset, load, ki, band, limit, share, w = servo
     dt, per, late = period / steps, steps / period, delay / period
-    x, v, z = rows[0, 4], rows[0, 5], 0.0
+    ahead, x, v, z = _THETA * dt, rows[0, 4], rows[0, 5], 0.0
     c, rise = calc_command_before(rows, -late, period)
     count = min(slopes.shape[1], BEGUN + 1) if len(slopes) > 0 else 0
-    at_numbers, direct, ahead = np.zeros((3, count)), np.zeros(13), _THETA * dt
+    at_numbers, direct, commands = np.zeros((3, count)), np.zeros(13), np.empty((steps, 2))
     reach, least = kp + ki * ahead, -BRAKING_SHARE / load  # (minus infinity without any)
     positions[0], slopes[:1, :count] = x, 0.0
     for k in range(len(rows) - 1):
+        calc_commands_after(rows, k - late, period, commands)
         for s in range(steps):
             b, M, K, D, q, qd, qdd = calc_between(rows[k], rows[k + 1], (s + _THETA) / steps)
             before, rise_before = c, rise
-            c, rise = calc_command_before(rows, k + (s + 1.0) / steps - late, period)
+            c, rise = commands[s]
             target = (1.0 - _THETA) * before + _THETA * c
             inertia, free, old = (M + armature) * per, D + (1.0 - share) * d, (1.0 - _THETA) * v
             predicted = x + ahead * old
@@ -123,8 +124,7 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
             heavy = inertia + K * ahead * _THETA + free * _THETA
             gear = F, load, least, load_at_rest - M * per * v, M * per + D * _THETA
             v_next, direction, stiff, bound = calc_within(limit, (drive, soft), (rest, heavy), gear)
-            gives = 1.0 if bound == 0.0 else 0.0
-            mean = old + _THETA * v_next
+            gives, mean = 1.0 if bound == 0.0 else 0.0, old + _THETA * v_next
             error = acts * (target - x - ahead * mean - side * band)
             grows = gives > 0.0 or bound * error < 0.0
             if count > 0:
@@ -162,7 +162,7 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
             slopes[k + 1, :count] = at_numbers[0]
 
 
-@compiled
+@inlined
 def move_slopes(
     slopes: Array,
     direct: Array,
@@ -270,6 +270,13 @@ def calc_velocity_after(
         resists = np.sqrt(linear**2 + 4.0 * load * grows**2 * remaining)
         speed = begins + 2.0 * remaining / (linear + resists)
     return direction * speed, direction, resists
+
+
+@inlined
+def calc_commands_after(rows: Array, index: float, period: float, out: Array) -> None:
+    """Write the commands and their rates (S, 2) at the ends of S steps to the next row."""
+    for s in range(len(out)):
+        out[s, 0], out[s, 1] = calc_command_before(rows, index + (s + 1.0) / len(out), period)
 
 
 @compiled
