@@ -11,6 +11,8 @@ from geodrake.boundary.arguments import instance
 from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.findings import (
     StagedFinding,
+    at_found_gains,
+    largest_residual,
     named,
     probable,
     unknown_probability,
@@ -68,13 +70,16 @@ def diagnose(
     result, start, stages = probable(case, result, findings)
     refitted, before = error_table(case.dataset, start.held_out), comparison(case)
     candidates = _candidates(case, result, start, stages) if stages else []
+    gained = None if candidates else at_found_gains(result)
+    left = largest_residual(result)
     return Diagnosis(
-        "explained" if candidates else verdict_of(refitted, found=False),
+        "explained" if candidates else verdict_of(gained or refitted, found=False, left=left),
         tuple(candidates),
         before.errors,
         refitted,
         before,
         case.notes,
+        gained,
     )
 
 

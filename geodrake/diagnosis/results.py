@@ -56,13 +56,16 @@ class Diagnosis(Shown):
     """Effects that may be missing in a model, best candidate first.
 
     Attributes:
-        verdict: "explained" if there is a candidate; otherwise "adequate" if only noise is left,
-            "unexplained" if the error is larger, and "undecided" if the noise is unknown.
+        verdict: "explained" if there is a candidate; otherwise "adequate" if only noise and errors
+            of effort gains are left, "unexplained" if the error is larger, and "undecided" if the
+            noise is unknown.
         candidates: Convincing candidates, the chosen one first.
         start: Errors of the unchanged model.
         refitted: Held-out errors of the model with its parameters refitted within their prior.
         comparison: Comparison with the unchanged model.
         notes: Notes on the preparation of the logs and on the model.
+        at_found_gains: Errors like `refitted`, but with effort gains as the logs show, within their
+            uncertainty; None if these are negligible, or with a candidate.
     """
 
     verdict: Verdict
@@ -71,6 +74,7 @@ class Diagnosis(Shown):
     refitted: ErrorTable
     comparison: Comparison
     notes: tuple[str, ...]
+    at_found_gains: ErrorTable | None = None
 
 
 @dataclass(frozen=True)

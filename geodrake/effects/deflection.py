@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from geodrake.compiling import compiled, contiguous
 from geodrake.effects.base import (
@@ -26,6 +27,7 @@ SPRING_DAMPING = 0.05
 """Default damping ratio of joint springs."""
 
 _DEGREE = 5
+_UNIFORM = 1e-6  # largest difference of time steps, over their mean
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,14 +40,17 @@ class Deflection:
 
     @classmethod
     def along(cls, lag: Array, time: Array | None) -> Deflection:
-        """Return a lag (N,), or several (N, n), with its rates by spline at uniform times (N,), s.
+        """Return a lag (N,), or several (N, n), with its rates by a spline over times (N,), s.
 
         Without `time` the samples are not a series, and the rates are zero.
         """
         if time is None or len(lag) <= _DEGREE:
             return cls(lag, np.zeros_like(lag), np.zeros_like(lag))
         period = float(time[-1] - time[0]) / (len(time) - 1)
-        return cls(lag, *(differentiate(lag, period, order=order) for order in (1, 2)))
+        if np.ptp(np.diff(time)) <= _UNIFORM * period:
+            return cls(lag, *(differentiate(lag, period, order=order) for order in (1, 2)))
+        spline = make_interp_spline(time, lag, k=_DEGREE)
+        return cls(lag, np.asarray(spline(time, 1)), np.asarray(spline(time, 2)))
 
     def of(self, joint: int) -> Deflection:
         """Return the deflection of one joint."""

@@ -240,7 +240,9 @@ def explanation_facts(
         "Interrupted": "more may be missing" * explanation.is_interrupted,
     }
     if explanation.verdict != "unexplained":
-        facts["Remaining error"] = _error_cause(explanation)
+        facts["Remaining error"] = _error_cause(
+            explanation.verdict, explanation.end, explanation.at_found_gains
+        )
     else:
         facts["Remaining error"] = error_size(explanation.end)
         facts["Depends on"] = _motion_shares(explanation)
@@ -250,10 +252,9 @@ def explanation_facts(
     return facts
 
 
-def _error_cause(explanation: Explanation) -> str:
-    """Return the cause of the remaining error if no effect is missing."""
-    end, calibrated = explanation.end, explanation.at_found_gains
-    if end.is_noise or explanation.verdict == "undecided":
+def _error_cause(verdict: str, end: ErrorTable, calibrated: ErrorTable | None) -> str:
+    """Return the cause of an error if no effect is missing, and what it is at found gains."""
+    if end.is_noise or verdict == "undecided":
         return noise_alone(end)
     if calibrated is not None and calibrated.is_noise:
         fitted = f"nrms {number(calibrated.nrms)} with gains fitted to the logs"
@@ -286,9 +287,10 @@ def _motion_shares(explanation: Explanation) -> str:
 def diagnosis_facts(diagnosis: Diagnosis) -> dict[str, str]:
     """Return the error of the best candidate and its alternatives, or what is left."""
     if not diagnosis.candidates:
-        left = diagnosis.refitted
-        is_noise = diagnosis.verdict != "unexplained"
-        return {"Remaining error": noise_alone(left) if is_noise else error_size(left)}
+        verdict, left = diagnosis.verdict, diagnosis.refitted
+        if verdict == "unexplained":
+            return {"Remaining error": error_size(left)}
+        return {"Remaining error": _error_cause(verdict, left, diagnosis.at_found_gains)}
     best, *others = diagnosis.candidates
     tied = [effect_label(e) for e in dict.fromkeys(o.effect for o in others if o.tied)]
     return {

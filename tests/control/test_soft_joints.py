@@ -128,6 +128,16 @@ def test_a_motor_without_inertia_gets_some_and_says_so(pendulum):
     assert roll_out(model, [swung(0, stiffness=120.0)], most=1).notes[-1] == note
 
 
+def test_deflections_have_rates_at_any_times():
+    """Also at those of a designed motion, whose last step is shorter."""
+    time = 0.01 * np.arange(400.0)
+    jitter = 0.002 * np.random.default_rng(0).random(400)
+    for times in (time, time + jitter, np.append(time, time[-1] + 0.002)):
+        found = Deflection.along(np.sin(3.0 * times), times)
+        np.testing.assert_allclose(found.rate, 3.0 * np.cos(3.0 * times), atol=1e-4)
+        np.testing.assert_allclose(found.acceleration, -9.0 * found.lag, atol=0.02)
+
+
 def test_an_effect_that_does_not_say_how_is_refused(pendulum):
     @dataclasses.dataclass(frozen=True)
     class Sagging(DeflectionEffect):

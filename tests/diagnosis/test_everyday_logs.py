@@ -12,7 +12,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.special import erf
 
 from geodrake import load_model
-from geodrake.diagnosis import add, check_columns, compare, explain
+from geodrake.diagnosis import add, check_columns, compare, diagnose, explain
 from geodrake.diagnosis.refinements import common_delay
 from geodrake.fleet import digest_logs
 from geodrake.identification.logs.bandwidth import prepare_for_model
@@ -129,11 +129,14 @@ def test_gains_of_efforts_are_no_missing_effect():
     ]
     found = explain(MODEL, logs[1:])
     assert places(found) == {"coulomb_friction": {*JOINTS}}
-    again = explain(explain(MODEL, logs[:1]).model, logs[1:])
-    assert not again.steps
-    assert (found.verdict, again.verdict) == ("explained", "adequate")
+    calibrated = explain(MODEL, logs[:1]).model
+    again, ranked = explain(calibrated, logs[1:]), diagnose(calibrated, logs[1:])
+    assert not again.steps and not ranked.candidates
+    assert (found.verdict, again.verdict, ranked.verdict) == ("explained", "adequate", "adequate")
+    assert not ranked.refitted.is_noise and ranked.at_found_gains.is_noise
     for each in (found, again):
         assert not each.end.is_noise and each.at_found_gains.is_noise
+    for each in (found, again, ranked):
         assert "from the effort gains" in page_of(each).answer["Remaining error"]
 
 

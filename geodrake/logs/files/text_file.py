@@ -7,7 +7,7 @@ import re
 from array import array
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -477,40 +477,23 @@ class TextTable(LogTable):
         self, names: Sequence[str], *, skip: bool = False
     ) -> tuple[dict[str, Array], TornRows]:
         """Return some columns (N,), read block by block; see `LogTable.read`."""
-        columns, _, torn = self._read(names, frozenset(), skip=skip)
-        return columns, torn
-
-    def _read(
-        self, names: Sequence[str], words: Collection[str], *, skip: bool
-    ) -> tuple[dict[str, Array], dict[str, list[str]], TornRows]:
-        """Return the columns (N,) of numbers, those of `words` as texts, and damaged rows."""
         layout, torn, row = self._layout, TornRows(self.path, skip), 0
         place_of = {name: (cell, item) for name, cell, item in reversed(layout.columns)}
         places = {name: place_of[name] for name in names}
-        kinds: dict[int, Cells | None] = {
-            cell: None if name in words else layout.kinds.get(layout.names[cell]) or Cells()
-            for name, (cell, _) in places.items()
-        }
+        kinds = {k: layout.kinds.get(layout.names[k]) or Cells() for k, _ in places.values()}
         is_plain = all(kind == Cells() for kind in kinds.values())
-        values_of = {name: array("d") for name in places if name not in words}
-        texts_of = {name: list[str]() for name in places if name in words}
+        values_of = {name: array("d") for name in places}
         for line, block in _blocks(self.path, self._opened, layout.lines) if places else ():
             columns = [cell for cell, _ in places.values()]
-            table: list[Any] | None = None
-            if is_plain and len(block) > _MANY:
-                table = _by_arrow(block, layout, columns)
-            count = 0 if table is None else len(table[0])
+            table = _by_arrow(block, layout, columns) if is_plain and len(block) > _MANY else None
             if table is None:
                 rows = self._cells(_lines(block), [*places.values()], kinds, (row, line), torn)
-                table, count = [*zip(*rows, strict=True)], len(rows)
-            for name, column in zip(places, table, strict=count > 0):
-                if name in words:
-                    texts_of[name] += column
-                else:
-                    values_of[name].frombytes(np.asarray(column, float).view(np.uint8).data)
-            row += count
+                table = [*np.array(rows, float).reshape(-1, len(places)).T.copy()]
+            for values, column in zip(values_of.values(), table, strict=True):
+                values.frombytes(column.view(np.uint8).data)
+            row += len(table[0])
             check_room(self.path, row * len(places), f"{row} rows of {len(places)} numbers")
-        return {n: np.frombuffer(values) for n, values in values_of.items()}, texts_of, torn
+        return {name: np.frombuffer(values) for name, values in values_of.items()}, torn
 
     def texts(self, names: Sequence[str]) -> dict[str, NDArray[np.object_]]:
         """Return the texts (N,) of some columns."""
@@ -526,13 +509,13 @@ class TextTable(LogTable):
         self,
         lines: Sequence[str],
         places: Sequence[tuple[int, int]],
-        kinds: Mapping[int, Cells | None],
+        kinds: Mapping[int, Cells],
         before: tuple[int, int],
         torn: TornRows,
     ) -> list[list[Any]]:
         """Parse lines cell by cell into K rows, slowly but with errors that name the cell.
 
-        `kinds` are None for words. `before` contains the numbers of preceding rows and lines.
+        `before` contains the numbers of preceding rows and lines.
         """
         path, names = self.path, self._layout.names
         values: list[list[Any]] = []
@@ -554,10 +537,10 @@ class TextTable(LogTable):
                             continue
                     parsed = dict[int, list[Any]]()
                     for k, kind in kinds.items():
-                        found = [cells[k].strip()] if kind is None else kind.numbers(cells[k])
-                        if found is None:
-                            raise _refusal(path, row, names[k], cells[k], kind or Cells())
-                        parsed[k] = found
+                        numbers = kind.numbers(cells[k])
+                        if numbers is None:
+                            raise _refusal(path, row, names[k], cells[k], kind)
+                        parsed[k] = numbers
                     values.append([parsed[cell][item] for cell, item in places])
                 except LogError as error:
                     torn.add(row - 1, error)
@@ -571,9 +554,10 @@ class TextTable(LogTable):
 
     def loaded(self, *, skip: bool = False) -> LogTable:
         """Return the table with all columns read, including texts."""
-        columns, texts, torn = self._read(self.names, self._layout.words, skip=skip)
-        words = {name: np.array(cells, object) for name, cells in texts.items()}
-        rows = len(next(iter((*columns.values(), *words.values())), ()))
+        texts = self._layout.words
+        columns, torn = self.read([name for name in self.names if name not in texts], skip=skip)
+        words = self.texts(texts)
+        rows = len(next(iter(columns.values()), ()))
         kept, notes = torn.settle(np.arange(float(rows)))
         if not kept.all():
             columns = {name: values[kept] for name, values in columns.items()}
