@@ -304,9 +304,9 @@ def calc_noise_changes(
     """Return (d,) the part of each fall in squared errors due to noise at other instants; ≤ 0.
 
     Signals are instants (K,), s, predictions (K,), efforts (K, d) at each lag (d,), s, relative to
-    column `current`, and squared errors (K, d). `rows` count, at a typical `period`, s. For equal
-    noise, the efforts of the current column are compared with predictions that are earlier by the
-    lag, interpolated between four consecutive rows.
+    column `current`, and squared errors (K, d). Only `rows` count; `period` is the typical time
+    between them, s. For equal noise, the efforts of the current column are compared with
+    predictions that are earlier by the lag, interpolated between four consecutive rows.
     """
     (time, predicted, efforts, squares), changes, bound = signals, np.zeros(len(lags)), 0.0
     for i in rows:

@@ -132,6 +132,11 @@ class Shape:
     scale: str = ""
     usual: float | None = None
 
+    @property
+    def is_searched(self) -> bool:
+        """Return whether a diagnosis tries several values."""
+        return len(self.grid) > 1 or (not self.grid and self.usual is not None)
+
     def __post_init__(self) -> None:
         for field in ("name", "unit"):
             instance(getattr(self, field), field, str)

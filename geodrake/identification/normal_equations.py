@@ -50,6 +50,7 @@ def scaled_cholesky(matrices: Array, ridge: float = RIDGE) -> tuple[Array, Array
 def calc_solution(A: Array, b: Array, ridge: float, groups: Indices) -> tuple[Array, float, Array]:
     """Return the solution (n,) of A x = b, scaled and ridged, log |A|, and a factor.
 
+    log |A| is not finite if A is not positive definite.
     Unknowns of different `groups` (n,) do not interact, which saves most of the work; those of
     group −1 interact with all. The factor L of A = L Lᵀ has the unknowns sorted by group, with
     group −1 last.

@@ -266,8 +266,8 @@ _DERIVATIVES = {
 def differentiate(signal: ArrayLike, period: float, *, order: int = 1) -> Array:
     """Differentiate a smooth signal of at least 6 samples with respect to time by a quintic spline.
 
-    The `order` is 1 or 2. The derivative has no lag, and the first a relative error below 1e-3 up
-    to a quarter of the rate.
+    The `order` is 1 or 2. The derivative has no lag. The relative error of the first is below 1e-3
+    up to a quarter of the rate.
     """
     signal = np.asarray(signal, float)
     if len(signal) < _LEAST_SAMPLES:

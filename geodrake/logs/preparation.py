@@ -36,6 +36,7 @@ _LEAST_LEAN = 12  # samples at an end, where derivatives of splines are less acc
 _FREQUENCIES = 257  # to integrate the spectrum of the acceleration noise
 _NOTED_LOSS, _MUCH = 1e-3, 0.01  # unused shares of a log that are noted, and noted first
 _ENDS, _MANY_ENDS = "at the ends of pieces", 0.1  # share of these that is noted first
+_MOST = 0.5  # share of a log that is unused for any reason, noted first
 _NOTED_LAG = 0.1  # of the sampling period, between measured velocity and position
 
 
@@ -185,6 +186,7 @@ def _left_out(
     ends = parts[_ENDS]  # every log loses some there
     lost = total - used - ends - sum(standstill)  # a standstill has no information to lose
     is_much = lost > _MUCH * total or ends > _MANY_ENDS * total or bool(joints)
+    is_much |= total - used > _MOST * total
     return is_much, "; ".join(lines)
 
 

@@ -171,9 +171,9 @@ def _motion_facts(result: ExcitationResult) -> dict[str, str]:
             f"coefficient {stance.friction:g}"
         )
     if trajectory.length:
-        facts["Before it"] = "move the robot to the start, or give its rest position with --stand"
+        facts["Start"] = "move the robot to the start, or give its rest position with --stand"
         if result.ramps is not None:
-            facts["Before it"] = "the robot is at rest, where the motion begins and ends"
+            facts["Start"] = "the robot is at rest, where the motion begins and ends"
             facts["Duration"] = f"{result.executed.length:.1f} s with the ramps from and to rest"
     return facts
 

@@ -55,9 +55,9 @@ def export_page(found: ProvenExport, about: About) -> Page:
         facts["Ignored"] = f"{ignored} by {engine}{cost}"
     deviating = [difference for difference in found.proof.differences if not difference.is_rounding]
     if deviating:
-        facts["Loaded again"] = f"{deviating[0].engine} differs by more than rounding"
+        facts["Simulators"] = f"{deviating[0].engine} differs by more than rounding"
     elif found.proof.differences:
-        facts["Loaded again"] = "simulators agree with geodrake to rounding"
+        facts["Simulators"] = "simulators agree with geodrake to rounding"
     nrms_note = "" if costs is None else f" nrms without each, {number(costs.whole)} with all."
     log_names = f", on {', '.join(about.logs)}" if about.logs else ""
     return Page(
@@ -77,7 +77,7 @@ def export_page(found: ProvenExport, about: About) -> Page:
                 tables=(_lacks_table(found, units),),
             ),
             Section(
-                "Loaded again",
+                "Simulators",
                 "Each simulator loaded the files, and is compared with the exported model.",
                 "Efforts are those of the motion; positions those of rollouts from states "
                 "of the motion, in steps of a millisecond.",

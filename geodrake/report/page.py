@@ -45,12 +45,18 @@ class Table:
         return self._columns([name not in self.deep for name in self.head])
 
     @property
+    def deep_columns(self) -> tuple[str, ...]:
+        """Return the columns of `deep` that the table has."""
+        return tuple(name for name in self.head if name in self.deep)
+
+    @property
     def in_depth(self) -> Table:
-        """Return the first column and the deep columns, without rows that are empty there."""
-        kept = [name in self.deep for name in self.head]
-        table = self._columns([True, *kept[1:]])
-        rows = [row for row in table.rows if any(cell.text for cell in row[1:])]
-        return replace(table, rows=rows, words=1)
+        """Return the columns of words and the deep ones, without rows that are empty there."""
+        kept = [k < self.words or name in self.deep for k, name in enumerate(self.head)]
+        table, words = self._columns(kept), self.words
+        rows = [row for row in table.rows if any(cell.text for cell in row[words:])]
+        total = self.total if len(rows) == len(table.rows) else 0
+        return replace(table, rows=rows, total=total)
 
     def _columns(self, kept: Sequence[bool]) -> Table:
         rows = [tuple(compress(row, kept)) for row in self.rows]

@@ -16,6 +16,7 @@ from geodrake.boundary.escaping import printable
 from geodrake.report.page import Page, Section, Table
 
 _UNLIMITED = 10_000  # columns
+_NARROW = 40  # columns, below which labels and texts are not beside each other
 
 
 class ResultsConsole(Console):
@@ -46,7 +47,9 @@ def show_page(console: Console, page: Page, *, details: bool = True) -> None:
         _show_labelled(console, page.answer)
     for section in sections:
         show_section(console, section, details=details)
-    if hidden := [s.title[:1].lower() + s.title[1:] for s in printed if s.deep and not details]:
+    hidden = [s.title[:1].lower() + s.title[1:] for s in printed if s.deep]
+    columns = [name for s in sections for table in s.shown_tables for name in table.deep_columns]
+    if not details and (hidden := [*hidden, *dict.fromkeys(columns)]):
         console.print()
         _show_labelled(console, {"--details adds": ", ".join(hidden)})
 
@@ -84,14 +87,14 @@ def show_saved(console: Console, saved: Mapping[Path, str], others: Sequence[obj
 
 
 def _show_labelled(console: Console, texts: Mapping[str, str]) -> None:
-    """Print texts after their labels, in a pipe on one line each."""
+    """Print texts beside their labels; in a pipe or a narrow terminal after them."""
     grid = Grid.grid(padding=(0, 1, 0, 0))
     grid.add_column(no_wrap=True, style="bold")
     for label, text in texts.items():
         grid.add_row(f"{label}:", Text(printable(text)))
-        if not console.is_terminal:
-            console.print(f"{label}: {text}", soft_wrap=True)
-    if console.is_terminal:
+        if not console.is_terminal or console.width < _NARROW:
+            console.print(f"{label}: {text}", soft_wrap=not console.is_terminal)
+    if console.is_terminal and console.width >= _NARROW:
         console.print(grid)
 
 

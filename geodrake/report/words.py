@@ -84,15 +84,16 @@ def ordered_places(step: Step) -> list[str]:
 def step_parameters(step: Step, units: Units) -> tuple[str, ...]:
     """Return a line for each parameter of a step: its value, or its values at several places.
 
-    A deviation includes the systematic one. Shapes, which have none, are omitted, and so are names
-    that the effect's name contains.
+    A deviation includes the systematic one. Shapes that no search varies are omitted, and so are
+    names that the effect's name contains.
     """
-    values = _by_name(step)
+    values, effect = _by_name(step), units.effects.get(step.effect)
     known = {name for table in step.deviations.values() for name in table if table[name] > 0}
+    if effect is not None:
+        known |= {shape.name for shape in effect.shapes if shape.is_searched}
+    if effect is not None and effect.summary in values:
+        known = {effect.summary}
     values = {name: values[name] for name in values if name in known} or values
-    summary = units.effects[step.effect].summary if step.effect in units.effects else ""
-    if summary in values:
-        values = {summary: values[summary]}
     is_clear = {name: len(values) == 1 or name in step.effect for name in values}
     return tuple(
         _amount(step, name, units) if is_clear[name] else f"{name} {_amount(step, name, units)}"
@@ -165,6 +166,8 @@ def rivals(step: Step) -> str:
         where = f" at {listed(rival.where)}" if rival.effect == step.effect and rival.where else ""
         if share >= _LIKELY:
             likely.append(f"{effect_label(rival.effect)}{where} {percent(share)}")
+    if step.unknown_probability >= _LIKELY:
+        likely.append(f"something unknown {percent(step.unknown_probability)}")
     return listed(likely, "or")
 
 
@@ -203,22 +206,26 @@ def explanation_headline(explanation: Explanation, *, added: bool = False) -> st
 
 
 def _findings(steps: Sequence[Step], units: Units) -> str:
-    """Return effects; a single one with its place."""
-    if len(steps) == 1:
-        return finding(steps[0], units)
-    return ", ".join(effect_label(step.effect) for step in steps)
+    """Return effects; one that is alone, or named twice, with its place."""
+    names = [step.effect for step in steps]
+    return ", ".join(
+        finding(step, units)
+        if len(steps) == 1 or names.count(step.effect) > 1
+        else effect_label(step.effect)
+        for step in steps
+    )
 
 
-def _doubtful(step: Step) -> str:
-    """Return an effect with its probability, and what is more probable in its place."""
+def _doubtful(step: Step, units: Units) -> str:
+    """Return a finding with its probability, and what is more probable."""
     other, likeliest = "", step.probability
     for words, share in (
         ("something unknown", step.unknown_probability),
         ("nothing", step.false_alarm_probability),
     ):
         if share > likeliest:
-            other, likeliest = f"; more likely {words}", share
-    return f"{effect_label(step.effect)} ({percent(step.probability)}{other})"
+            other, likeliest = f" ({words} is more likely)", share
+    return f"{finding(step, units)}, {percent(step.probability)}{other}"
 
 
 def explanation_facts(
@@ -235,8 +242,8 @@ def explanation_facts(
     ]
     facts = {
         "Effect" if added else "Missing": _findings(certain, units),
-        "Less certain": ", ".join(_doubtful(step) for step in steps if step not in certain),
-        "No help": listed(worse),
+        "Less certain": "; ".join(_doubtful(step, units) for step in steps if step not in certain),
+        "Did not help": listed(worse),
         "Interrupted": "more may be missing" * explanation.is_interrupted,
     }
     if explanation.verdict != "unexplained":
@@ -294,8 +301,8 @@ def diagnosis_facts(diagnosis: Diagnosis) -> dict[str, str]:
     best, *others = diagnosis.candidates
     tied = [effect_label(e) for e in dict.fromkeys(o.effect for o in others if o.tied)]
     return {
-        "With it": nrms_change(best.error_before, best.error_after),
-        "Or instead": listed([e for e in tied if e != effect_label(best.effect)], "or"),
+        "Error with it": nrms_change(best.error_before, best.error_after),
+        "Alternatives": listed([e for e in tied if e != effect_label(best.effect)], "or"),
         "Next": "geodrake explain finds all that is missing",
     }
 
@@ -316,7 +323,8 @@ def error_size(errors: ErrorTable) -> str:
     nrms = f"nrms {number(errors.nrms)}"
     if not errors.shows_noise:
         return f"{nrms}; the logs show no noise"
-    size = f"{number(errors.nrms / errors.floor_nrms)} times the sensor noise ({nrms})"
+    ratio, floor = number(errors.nrms / errors.floor_nrms), number(errors.floor_nrms)
+    size = f"{ratio} times the sensor noise ({nrms}, noise floor {floor})"
     outliers = [
         f"{joint.joint} {number(joint.rms / joint.floor)} times its own"
         for joint in errors.above_noise

@@ -104,7 +104,10 @@ def test_doubtful_findings_say_what_is_more_likely():
         for each in (alone, dataclasses.replace(alone, unknown_probability=0.62))
     )
     assert likely["Missing"] and not likely["Less certain"] and not doubtful["Missing"]
-    assert doubtful["Less certain"] == "Coulomb friction (38 %; more likely something unknown)"
+    assert (
+        doubtful["Less certain"]
+        == "Coulomb friction (joint_0), 38 % (something unknown is more likely)"
+    )
 
 
 def test_bodies_are_shown_before_and_after():
@@ -171,7 +174,7 @@ def test_a_diagnosis_names_ties_or_nothing():
     joints = joint_names(3)
     text = unescape(check_self_contained(page(diagnosis(joints), saved="my arm.yaml")))
     assert "Coulomb friction + viscous friction (all 3 joints) are missing." in text
-    assert "Or instead asymmetric friction" in text
+    assert "Alternatives asymmetric friction" in text
     command = "geodrake excite 'my arm.yaml' --tell-apart coulomb_friction,asymmetric_friction"
     assert f"{command} --save motion_1.csv" in text
     text = check_self_contained(page(diagnosis(joints, candidates=False)))
@@ -292,7 +295,7 @@ def test_a_useless_added_effect_is_reported():
     added = explanation(joints, (useless,))
     added = dataclasses.replace(added, end=errors(joints, 1.01))
     answer = page_of(Explained.of(added, added=True)).answer
-    assert answer["No help"] == "joint spring (nrms 0.565 → 0.569)"
+    assert answer["Did not help"] == "joint spring (nrms 0.565 → 0.569)"
     assert answer["Effect"] == "joint spring (all 3 joints)"
     text = page(added)
     assert "explained none of the squared error" in " ".join(Reader(text).text)
