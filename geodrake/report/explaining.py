@@ -317,9 +317,9 @@ def explanation_page(found: Explanation, about: About) -> Page:
                 (step_bars(explanation, units.driven),) if steps else (),
                 (steps_table(explanation, units),) if steps else (),
                 tuple(
-                    f"{words.effect_label(step.effect)}, or {rivals}"
+                    f"{words.effect_label(step.effect)}, or {words.rivals(step)}"
                     for step in steps
-                    if (rivals := words.rivals(step))
+                    if words.has_rivals(step)
                 ),
             ),
             settling_section(explanation, about),

@@ -159,8 +159,14 @@ def is_convincing(step: Step) -> bool:
     return lowers_error(step) and step.probability > doubt
 
 
+def has_rivals(step: Step) -> bool:
+    """Return whether a step has a named rival, or is less probable than something unknown."""
+    is_doubtful = step.unknown_probability > step.probability
+    return is_doubtful or any(share >= _LIKELY for share in step.probabilities_of_rivals)
+
+
 def rivals(step: Step) -> str:
-    """Return the rivals of a step with their probabilities: `viscous friction 3 %`."""
+    """Return what may be in place of a step, with probabilities: `viscous friction 3 %`."""
     likely = []
     for rival, share in zip(step.rivals, step.probabilities_of_rivals, strict=True):
         where = f" at {listed(rival.where)}" if rival.effect == step.effect and rival.where else ""
