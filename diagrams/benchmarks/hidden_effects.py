@@ -42,7 +42,6 @@ from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.compare import compare
 from geodrake.logs import JointLog
 from geodrake.model import RobotModel
-from geodrake.report.words import correlate_words
 
 ONE, TWO, NONE, UNKNOWN = "one", "two", "none", "outside"
 COVERAGE, SMALLEST, TIMING, KIND = "coverage", "smallest", "timing", "kind"
@@ -426,7 +425,7 @@ def _drafted(found: Investigation, secret: Secret) -> dict[str, Any]:
     correlates = draft.correlates
     there = [c for c in correlates if c.joint in secret.joints]
     return {
-        "correlates": [correlate_words(c) for c in correlates],
+        "correlates": [f"{c.joint}: {c.share:.0%} with {c.words}" for c in correlates],
         "right_joint": bool(correlates) and correlates[0].joint in secret.joints,
         "right_correlate": any(_goes_with(c, secret) for c in there),
         "drafted_over_floor": draft.after.nrms / draft.after.floor_nrms,
