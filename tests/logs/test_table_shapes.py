@@ -670,18 +670,19 @@ def test_cells_without_a_name_are_refused(tmp_path, name, old, new, row):
 def test_lists_that_are_missing_in_some_rows(tmp_path, kind):
     content, path = listed(LISTS), tmp_path / f"log.{kind.replace('records', 'json')}"
     content["tau"][5] = [] if kind == "records" else None
+    content["q"][7][1] = None
     if kind == "records":
+        content["q"][9] = []
         rows = zip(*content.values(), strict=True)
         path.write_text(json.dumps([dict(zip(content, row, strict=True)) for row in rows]))
+    elif kind == "json":
+        path.write_text(json.dumps({**content, "limits": [1, 2], "gains": [3, 4]}))
     else:
-        content["q"][7][1] = None
-        if kind == "json":
-            path.write_text(json.dumps({**content, "limits": [1, 2], "gains": [3, 4]}))
-        else:
-            pandas.DataFrame(content).to_parquet(path)
+        pandas.DataFrame(content).to_parquet(path)
     log = read_log(path)
     assert np.isnan(log.effort[5]).all()
-    assert np.isnan(log.position[7, 1]) == (kind != "records")
+    assert np.isnan(log.position).sum() == (3 if kind == "records" else 1)
+    assert np.isnan(log.position[7, 1]) and not np.isnan(log.position[7, 0])
     np.testing.assert_array_equal(np.delete(log.effort, 5, 0), np.delete(EFFORT, 5, 0))
 
 

@@ -417,8 +417,10 @@ def _list_in(cell: Any) -> list[float] | None:
                 cell = f"[{','.join(items)}]"
             match = LIST.fullmatch(cell) or _BARE.fullmatch(cell)
             cell = _BETWEEN.split(match[1].strip()) if match else None
+    if not isinstance(cell, Sized):
+        return None
     try:
-        return [float(number) for number in cell] if isinstance(cell, Sized) else None  # type: ignore[attr-defined]
+        return [np.nan if item is None else float(item) for item in cell]  # type: ignore[attr-defined]
     except (TypeError, ValueError):
         return None
 
