@@ -307,7 +307,7 @@ BY_CALL = {
     "Stance.efforts": {"motion": Motion(*np.zeros((3, 5, 14))), "sign_width": 0.01},
     "make_stance": {"robot": Fresh(biped), "feet": ("l_foot", "r_foot"), "posture": None,
         "limits": None},
-    "make_separation": {"second": Fresh(lambda: rival("effort_offset"))},
+    "make_separation": {"second": Fresh(lambda: rival("effort_offset")), "stance": None},
     "measurement_factor": {"measured": (V,)},
     "identifiable_parameters": {"factor": Fresh(factor), "kept": None},
     "reduced_identification": {"factor": Fresh(lambda: factor(measured=True)), "kept": None},
