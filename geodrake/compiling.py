@@ -52,9 +52,10 @@ It does not depend on paths, so that files can be copied with their cache.
 def compiled(function: F) -> F:
     """Return a function of numbers, arrays and tuples, compiled when it is first called.
 
-    It may call other compiled or inlined functions. Compiled code is cached in the source folder,
-    or in the user's cache folder if that is not writable or others can write to it. If neither is
-    possible, every process compiles it again.
+    It may call other compiled or inlined functions. Loops compile faster than array expressions,
+    sorting or solving in NumPy, each of which takes Numba up to some seconds. Compiled code is
+    cached in the source folder, or in the user's cache folder if that is not writable or others can
+    write to it. If neither is possible, every process compiles it again.
     """
     return _compiled(function)
 

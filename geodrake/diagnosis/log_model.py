@@ -209,8 +209,7 @@ class LogModel:
             self.prior_scores[at[0]] = term.log_information - term.prior_distance
             self.owner[at], self.positive[at[term.positive]] = k, True
         rates, unsure_delay = self._rates()
-        places = self._places(columns, rates)
-        # Indices of the model's columns in the normal matrix of each block.
+        places = self._places(columns, rates)  # in the rows of each joint
         self._unsure = {effect.joint: self._unsure_column(effect) for effect in self._reversals}
         blocks = self._blocks()
         self.joint_of = np.array([j for j, _, _ in blocks])
@@ -238,9 +237,10 @@ class LogModel:
         self._nuisances = np.concatenate([gains, np.full(nv + 1, unsure_delay**-2.0), unsure])
 
     def _store(self, blocks: Sequence[tuple[int, int, Array]]) -> None:
-        """Store the normal matrices of blocks one after another, with further columns.
+        """Store the normal matrices of blocks one after another.
 
-        They have a joint's columns and efforts, its load, the rate of its effort, and zeros.
+        Behind the columns and efforts of a joint they have its load, the rate of its effort, and
+        a column of zeros, which places of −1 mean.
         """
         widths = np.array([len(self._mixed[j]) + 3 for j in self.joint_of.tolist()])
         ends = np.cumsum(widths**2)

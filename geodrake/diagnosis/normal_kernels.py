@@ -410,7 +410,7 @@ def calc_distance(mean: Array, inside: Array, precision: Array, basis: Array) ->
         return farthest
     for _ in range(_MOST_BARRIERS):
         for _ in range(_MOST_STEPS):
-            decrement = calc_step(x, (mean, precision, basis, barrier), step)
+            decrement = calc_newton_step(x, (mean, precision, basis, barrier), step)
             share, change = 1.0 / (1.0 + decrement), 0.0
             for _ in range(_MOST_HALVINGS):
                 for a in range(len(x)):
@@ -431,7 +431,7 @@ def calc_distance(mean: Array, inside: Array, precision: Array, basis: Array) ->
 
 
 @compiled
-def calc_step(x: Array, problem: tuple[Array, Array, Array, float], step: Array) -> float:
+def calc_newton_step(x: Array, problem: tuple[Array, Array, Array, float], step: Array) -> float:
     """Write the Newton step (10,) of `calc_distance`, and return the decrement.
 
     The problem is the mean, the precision, the basis and the weight of log det.

@@ -183,10 +183,11 @@ class Search:
         return other if self._is_worse_than(other) else self
 
     def _is_worse_than(self, other: Search) -> bool:
+        """Return whether another search has more evidence and lower held-out errors."""
         fewer = np.minimum(self.model.shares(self.fit), other.model.shares(other.fit))
-        return other._evidence(fewer) > self._evidence(fewer) and other._held_out_score(
-            fewer
-        ) > self._held_out_score(fewer)
+        if other._evidence(fewer) <= self._evidence(fewer):
+            return False
+        return other._held_out_score(fewer) > self._held_out_score(fewer)
 
     def _evidence(self, shares: Array) -> float:
         """Return the evidence of the explanation with effective samples per row (nv,)."""

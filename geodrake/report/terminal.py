@@ -88,14 +88,15 @@ def show_saved(console: Console, saved: Mapping[Path, str], others: Sequence[obj
 
 def _show_labelled(console: Console, texts: Mapping[str, str]) -> None:
     """Print texts beside their labels; in a pipe or a narrow terminal after them."""
+    if not console.is_terminal or console.width < _NARROW:
+        for label, text in texts.items():
+            console.print(f"{label}: {text}", soft_wrap=not console.is_terminal)
+        return
     grid = Grid.grid(padding=(0, 1, 0, 0))
     grid.add_column(no_wrap=True, style="bold")
     for label, text in texts.items():
         grid.add_row(f"{label}:", Text(printable(text)))
-        if not console.is_terminal or console.width < _NARROW:
-            console.print(f"{label}: {text}", soft_wrap=not console.is_terminal)
-    if console.is_terminal and console.width >= _NARROW:
-        console.print(grid)
+    console.print(grid)
 
 
 def _head(console: Console, words: str) -> None:

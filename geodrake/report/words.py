@@ -224,14 +224,13 @@ def _findings(steps: Sequence[Step], units: Units) -> str:
 
 def _doubtful(step: Step, units: Units) -> str:
     """Return a finding with its probability, and what is more probable."""
-    other, likeliest = "", step.probability
-    for words, share in (
-        ("something unknown", step.unknown_probability),
-        ("nothing", step.false_alarm_probability),
-    ):
-        if share > likeliest:
-            other, likeliest = f" ({words} is more likely)", share
-    return f"{finding(step, units)}, {percent(step.probability)}{other}"
+    others = (
+        (step.unknown_probability, "something unknown"),
+        (step.false_alarm_probability, "nothing"),
+    )
+    share, other = max(others)
+    likelier = f" ({other} is more likely)" if share > step.probability else ""
+    return f"{finding(step, units)}, {percent(step.probability)}{likelier}"
 
 
 def explanation_facts(

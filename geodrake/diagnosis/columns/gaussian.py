@@ -124,7 +124,7 @@ def calc_most_probable(
     for _ in range(_ROUNDS):
         H, right = information.copy(), information_mean.copy()
         for j in range(n):
-            at, share = known_places(places[j, 0]), samples[0][j] / mse[j]
+            at, share = unpadded(places[j, 0]), samples[0][j] / mse[j]
             share *= calc_equations(joints, j, x, (A, b))
             for i in range(len(at)):
                 right[at[i]] += share * b[i]
@@ -156,7 +156,7 @@ def calc_equations(
 ) -> float:
     """Write the normal equations A, b of a joint, linearized at x, and return their scale."""
     (grams, sides, places), (A, b), error = joints, out, 0.0
-    at, columns = known_places(places[j, 0]), known_places(places[j, 1])
+    at, columns = unpadded(places[j, 0]), unpadded(places[j, 1])
     m, weights = len(columns), calc_weights(sides[j, 1], columns, x, at)
     if len(at) > m:
         error = x[at[m]]
@@ -185,7 +185,7 @@ def calc_cost(
     (grams, sides, places), (row_weights, rows, least) = joints, samples
     cost = x @ (prior[0] @ x) - 2.0 * (prior[1] @ x)
     for j in range(len(grams)):
-        at, columns = known_places(places[j, 0]), known_places(places[j, 1])
+        at, columns = unpadded(places[j, 0]), unpadded(places[j, 1])
         residual = calc_weights(sides[j, 1], columns, x, at)
         gain = np.exp(x[at[-1]]) if len(at) > len(columns) else 1.0
         for k in range(len(residual)):
@@ -196,7 +196,7 @@ def calc_cost(
 
 
 @compiled
-def known_places(places: Indices) -> Indices:
+def unpadded(places: Indices) -> Indices:
     """Return the places before the padding with −1."""
     count = 0
     while count < len(places) and places[count] >= 0:
