@@ -2,6 +2,7 @@
 
 from geodrake import effects
 from geodrake.effects.of_files import (
+    AddedMass,
     BallSpring,
     CarriedWeight,
     EllipsoidDrag,
@@ -38,6 +39,7 @@ EFFECTS = [
     (CarriedWeight(("wrist", "column"), 0.1, 0.2, -0.1), [1.5]),
     (MediumDrag("wrist", 0.3, 0.2, 0.1, 0.1, 0.0, 0.2, 0.5, 0.5, -0.5, 0.5, 1.0, 2.0), [900, 3]),
     (EllipsoidDrag("wrist", 0.3, 0.2, 0.1, 0.1, 0.0, 0.2, mass_x=0.02, inertia_z=1e-3), [900, 3]),
+    (AddedMass("wrist", 3.0, 0.2, 0.1, yy=1.0, yr=0.1, zz=2.0, pp=0.1, qq=0.2, rr=0.3), [0.9]),
     (Strut(("column", "wrist"), 0.1, 0.2, 0.3, 0.1, 0.0, 0.2), [30.0, -5.0, 2.0]),
     (Strut(("world", "wrist"), 0.5, 0.2, 1.3, 0.1, 0.0, 0.2), [30.0, -5.0, 2.0]),
     (BallSpring(("column", "wrist"), 0.5, 0.5, -0.5, 0.5), [3.0]),

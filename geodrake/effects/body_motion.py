@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 from geodrake.compiling import contiguous
 from geodrake.errors import ArgumentError
 from geodrake.robot.kinematics import KinematicTree, actuator_rows
-from geodrake.robot.recursion import calc_inverse_dynamics, calc_kinematics, calc_places
+from geodrake.robot.recursion import (
+    Samples,
+    calc_acceleration,
+    calc_inverse_dynamics,
+    calc_kinematics,
+    calc_places,
+)
 
 Array = NDArray[np.float64]
 
@@ -71,6 +77,12 @@ class RobotBodies:
             self._motions[body] = self._motion(self.index(body))
         return self._motions[body]
 
+    def acceleration(self, body: str, v: Array, vd: Array) -> tuple[Array, Array]:
+        """Return a body's angular acceleration, and that of Bo, each (N, 3), in B."""
+        q, v, vd, _ = self.tree_samples(v, vd)
+        branch = replace(self.tree.joints.branch(self.index(body)), gravity=np.zeros(3))
+        return self.last_acceleration(branch, (q, v, v, vd))
+
     def index(self, body: str) -> int:
         """Return the index of a body; raise an ArgumentError if it does not exist."""
         if body not in self.tree.bodies:
@@ -121,6 +133,13 @@ class RobotBodies:
             self.tree.through(self.q, linear[:, 0]),
             self.tree.moving_velocities(last.dofs),
         )
+
+    def last_acceleration(self, tree: KinematicTree, samples: Samples) -> tuple[Array, Array]:
+        """Return the accelerations of a tree's last body, as `acceleration`."""
+        q, v, _, vd = map(contiguous, samples)
+        angular, linear = np.empty((2, len(q), 3))
+        calc_acceleration(tree.records, (q, v, v, vd), angular, linear)
+        return angular, linear
 
     def kinematics(self, tree: KinematicTree) -> tuple[Array, Array, Array]:
         """Return poses (N, 1, 4, 4) of a tree's only body, and its Jacobians (N, 1, 3, ·)."""

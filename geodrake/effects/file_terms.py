@@ -3,6 +3,7 @@
 from geodrake import effects
 from geodrake.effects import of_files
 
+AddedMass = of_files.AddedMass
 Ball = of_files.BallSpring
 Carried = of_files.CarriedWeight
 CoupledDry = effects.CoupledFriction

@@ -26,7 +26,7 @@ from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.gradient import RobotGradient
 from geodrake.errors import ArgumentError
 from geodrake.manifolds import Interval
-from geodrake.robot.files.checks import rotation
+from geodrake.robot.files.checks import ADDED_MASS, added_mass_matrix, rotation
 
 
 class _FileEffect:
@@ -294,6 +294,71 @@ class EllipsoidDrag(_FluidForces):
         moment = moment - _cross(momentum, v) - _cross(angular_momentum, w)
         viscous_force, viscous_moment = 3.0 * np.pi * D * v, np.pi * D**3 * w
         return np.stack([force, viscous_force], -1), np.stack([moment, viscous_moment], -1)
+
+
+@dataclass(frozen=True)
+class AddedMass(_FileEffect, BodyEffect):
+    """Inertia of the still fluid around a body, by Kirchhoff's equations.
+
+    With the velocity v of Bo, ω and the matrix A in the body's frame, the fluid has the momentum
+    [h; l] = s A [v; ω], and the body needs the force f = ḣ + ω × h and the moment
+    g = l̇ + ω × l + v × h about Bo. effort = J_Boᵀ f + J_ωᵀ g. Gravity does not act on it.
+    """
+
+    xx: float = 0.0  # entries of A
+    xy: float = 0.0
+    xz: float = 0.0
+    xp: float = 0.0
+    xq: float = 0.0
+    xr: float = 0.0
+    yy: float = 0.0
+    yz: float = 0.0
+    yp: float = 0.0
+    yq: float = 0.0
+    yr: float = 0.0
+    zz: float = 0.0
+    zp: float = 0.0
+    zq: float = 0.0
+    zr: float = 0.0
+    pp: float = 0.0
+    pq: float = 0.0
+    pr: float = 0.0
+    qq: float = 0.0
+    qr: float = 0.0
+    rr: float = 0.0
+
+    name = "added_mass"
+    law = "s of the inertia that still fluid adds to a body, a matrix (6, 6)"
+    complexity = 3
+    shapes = tuple(
+        Shape(name, ("kg", "kg·m", "kg·m²")[sum(letter in "pqr" for letter in name)])
+        for name in ADDED_MASS
+    )
+    parameters = (Parameter("share", "1", lower=0.0),)
+    signature = "grows with a body's acceleration and the square of its speed, without weight"
+    depends_on = frozenset({"q", "v", "vd", "bodies"})
+
+    @property
+    def reported_shape(self) -> dict[str, float]:
+        """Empty: the matrix is that of the file."""
+        return {}
+
+    def rows(self, motion: RobotMotion) -> Rows:
+        """Return the column of the share at the joints that move the body."""
+        bodies = motion.body_motions(self.name)
+        body = bodies.motion(self.body)
+        axes = np.moveaxis(body.rotation, 1, 2)
+        J = np.concatenate([axes @ body.linear, axes @ body.angular], axis=1)
+        velocity = (J @ motion.v[..., None])[..., 0]
+        v, w = velocity[:, :3], velocity[:, 3:]
+        turning, a = bodies.acceleration(self.body, motion.v, motion.vd)
+        A = added_mass_matrix(getattr(self, name) for name in ADDED_MASS)
+        momentum, rate = velocity @ A, np.concatenate([a - _cross(w, v), turning], axis=1) @ A
+        h, angular_momentum = momentum[:, :3], momentum[:, 3:]
+        carried = [_cross(w, h), _cross(w, angular_momentum) + _cross(v, h)]
+        wrench = rate + np.concatenate(carried, axis=1)
+        column = np.moveaxis(J, 1, 2) @ wrench[..., None]
+        return {motion.joints[dof]: column[:, dof] for dof in body.dofs}
 
 
 def _cross(a: Array, b: Array) -> Array:

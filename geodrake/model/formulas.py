@@ -23,7 +23,12 @@ from geodrake.effects.column_checks import line_of
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import Array
 from geodrake.robot.kinematics import KinematicTree
-from geodrake.robot.recursion import calc_inverse_dynamics, calc_kinematics
+from geodrake.robot.recursion import (
+    Samples,
+    calc_acceleration,
+    calc_inverse_dynamics,
+    calc_kinematics,
+)
 
 Operand = Any
 """A `Symbol`, or a number."""
@@ -306,6 +311,7 @@ def _empty_symbols(shape: Any, dtype: np.dtype[Any] | None = None) -> Any:
 _OBJECT_NUMPY = SimpleNamespace(empty=_empty_symbols, cos=np.cos, sin=np.sin, sqrt=np.sqrt)
 _inverse_dynamics = interpreted(calc_inverse_dynamics, np=_OBJECT_NUMPY)
 _kinematics = interpreted(calc_kinematics, np=_OBJECT_NUMPY)
+_acceleration = interpreted(calc_acceleration, np=_OBJECT_NUMPY)
 
 
 def _records(tree: KinematicTree) -> tuple[Any, Any]:
@@ -344,6 +350,13 @@ class BodyFormulas(RobotBodies):
         J = _jacobian(self.tree)
         rates, accelerations = (Symbols.of([J @ x[0]]) for x in (v, vd))
         return theta[None], rates, accelerations, J[None]
+
+    def last_acceleration(self, tree: KinematicTree, samples: Samples) -> tuple[Array, Array]:
+        """Return the angular acceleration of a tree's last body, and that of Bo, (1, 3), in B."""
+        q, v, _, vd = (np.array(x, object) for x in samples)
+        angular, linear = np.zeros((2, 1, 3), object)
+        _acceleration(_records(tree), (q, v, v, vd), angular, linear)
+        return Symbols.of(angular), Symbols.of(linear)
 
     def kinematics(self, tree: KinematicTree) -> tuple[Array, Array, Array]:
         """Return the pose and Jacobians of a tree's only body, for velocities of the joints."""

@@ -18,6 +18,7 @@ from pydrake.math import RigidTransform
 
 from geodrake.effects.base import Effect, FittedEffect
 from geodrake.effects.file_terms import (
+    AddedMass,
     Ball,
     Carried,
     CoupledDry,
@@ -55,6 +56,7 @@ _WORDS: Mapping[type[Effect], str] = {
     Carried: "carried weight",
     StrutEffect: "tendon",
     Ball: "spring of a ball joint",
+    AddedMass: "added mass",
     Medium: "medium",
     Ellipsoid: "medium of ellipsoids",
 }
@@ -195,6 +197,15 @@ def _add_of_bodies(effects: StatedEffects, loaded: LoadedPlant) -> None:
         if one and two and one != two:
             turn = Y.rotation() @ ball.rest @ X.rotation().inverse()
             effects.add(Ball((one, two), *turn.ToQuaternion().wxyz()), ball.stiffness)
+    inertias = defaultdict[str, Array](lambda: np.zeros((6, 6)))
+    for link, inertia in terms.added_mass.items():
+        body, X = places.get(link, still)
+        R, (x, y, z) = X.rotation().matrix().T, X.translation()
+        at_link = np.kron(np.eye(2), R)  # from the velocities of the body to those of the link
+        at_link[:3, 3:] = R @ [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+        inertias[body] += at_link.T @ inertia @ at_link
+    for body in inertias.keys() - {stated.WORLD}:
+        effects.add(AddedMass(body, *inertias[body][np.triu_indices(6)].tolist()), 1.0)
     for each in terms.in_medium:
         body, X = places.get(each.body, still)
         if body != stated.WORLD:

@@ -341,6 +341,17 @@ def calc_inverse_dynamics(tree: TreeRecords, samples: Samples, phi: Array, out: 
                     moments[parent, x] += moment[x]
 
 
+@compiled
+def calc_acceleration(tree: TreeRecords, samples: Samples, angular: Array, linear: Array) -> None:
+    """Write the accelerations (N, 3) of the last body B: angular, and of Bo less gravity, in B."""
+    mobilizers, _ = tree
+    motions, features, last = np.empty(len(mobilizers), MOTION), np.empty(9), len(mobilizers) - 1
+    for n in range(len(samples[0])):
+        move(mobilizers, samples, n, features, motions)
+        put(angular[n], vector(motions[last].wd))
+        put(linear[n], vector(motions[last].a))
+
+
 @inlined
 def put_pose(mobilizer: Record, motion: Record, world: Record, out: Record) -> None:
     """Write R_WB and the position of Bo in W, from the pose of the inboard body."""

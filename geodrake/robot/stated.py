@@ -222,6 +222,8 @@ class FileTerms:
     # Joints whose own motors compensate the weight, so that they bear all of it.
     acting: set[str] = field(default_factory=set)
     in_medium: list[InMedium] = field(default_factory=list)
+    # Link -> (6, 6) inertia of the still fluid around it, for its velocity and ω in its frame.
+    added_mass: dict[str, Array] = field(default_factory=dict)
     struts: list[StatedStrut] = field(default_factory=list)
     balls: list[StatedBall] = field(default_factory=list)
     gearboxes: list[Gearbox] = field(default_factory=list)

@@ -106,7 +106,6 @@ UNREAD = {
         "<velocity_decay><linear>0.1</linear></velocity_decay>": "<velocity_decay> 0.1",
         "<kinematic>true</kinematic>": "<kinematic> true",
     },
-    "inertial": {"<fluid_added_mass><xx>3</xx></fluid_added_mass>": "<fluid_added_mass> 3"},
     "model": {
         '<plugin name="b" filename="gz-sim-buoyancy-system"/>': "plugin gz-sim-buoyancy",
         "<enable_wind>1</enable_wind>": "<enable_wind> 1",
@@ -301,6 +300,9 @@ def test_what_an_include_changes_in_its_model_is_changed(tmp_path):
     <joint name="c" type="fixed"><parent>l1</parent><child>p::l3</child></joint>"""
     held_by = [held(load(tmp_path, SDF, model=model.format(x))) for x in ("", change)]
     np.testing.assert_allclose(held_by[1] - held_by[0], [-9.81 * 3.0 * 0.5, 0.0], atol=1e-12)
+    fluid = change.replace("<mass>4</mass>", "<fluid_added_mass><xx>3</xx></fluid_added_mass>")
+    (said,) = load(tmp_path, SDF, model=model.format(fluid)).left_out
+    assert said.endswith("<fluid_added_mass> 3 is ignored.")
 
 
 def test_damping_of_a_planar_joint_of_a_urdf_is_that_of_each_direction(tmp_path):

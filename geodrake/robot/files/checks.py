@@ -24,6 +24,8 @@ from geodrake.robot.files.xml_text import wrong_at
 
 TENSOR = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 UPPER = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
+ADDED_MASS = tuple(a + b for i, a in enumerate("xyzpqr") for b in "xyzpqr"[i:])
+"""SDF's names of the entries of a matrix (6, 6) by rows: forces x, y, z, and moments p, q, r."""
 
 
 def drop(element: Element, *tags: str) -> None:
@@ -68,6 +70,13 @@ def symmetric(texts: Iterable[str]) -> Array:
     """Return the symmetric matrix (3, 3) of six numbers in the order of `TENSOR`."""
     matrix = np.zeros((3, 3))
     matrix[UPPER] = [numbers(text, 1)[0] for text in texts]
+    return matrix + np.triu(matrix, 1).T
+
+
+def added_mass_matrix(entries: Iterable[float]) -> Array:
+    """Return the symmetric matrix (6, 6) of entries in the order of `ADDED_MASS`."""
+    matrix = np.zeros((6, 6))
+    matrix[np.triu_indices(6)] = [*entries]
     return matrix + np.triu(matrix, 1).T
 
 

@@ -25,10 +25,12 @@ from pydrake.math import RigidTransform
 from geodrake.errors import ModelError
 from geodrake.inertia import Array, is_physical
 from geodrake.robot.files.checks import (
+    ADDED_MASS,
     SDF_NUMBERS,
     TENSOR,
     URDF_NUMBERS,
     Numeric,
+    added_mass_matrix,
     check_limits,
     check_link,
     check_numbers,
@@ -76,12 +78,14 @@ URDF_UNREAD: Mapping[str, Collection[str]] = {
 }
 SDF_UNREAD: Mapping[str, Collection[str]] = {
     "link": ("velocity_decay", "enable_wind", "kinematic"),
-    "inertial": ("fluid_added_mass",),
     "model": ("enable_wind",),
 }
 """Tag -> tags of descendants that affect efforts unless they are zero."""
 
-_CHANGED = {"dynamics": ("friction", "spring_stiffness")}
+_CHANGED = {
+    "dynamics": ("friction", "spring_stiffness"),
+    "inertial": ("fluid_added_mass",),
+}
 """The same in changes of an included model, which Drake applies."""
 
 URDF_ATTRIBUTES: Mapping[str, Collection[str]] = {
@@ -148,6 +152,7 @@ def _of(element: Element, tags: Collection[str], path: Path) -> Iterator[str]:
         yield f"{place_of(element, path)}: <{element.tag}> {value} is ignored."
 
 
+_ROUNDED = 1e-6  # relative size of eigenvalues that counts as rounding in a file
 _TRUE = ("true", "1")
 _BALL = "drake:ball_constraint"
 _JOINTS = ("joint", "drake:joint")
@@ -357,6 +362,25 @@ class ModelText(abc.ABC):
         else:
             self.terms.left_out.append(f"{name} is ignored.")
 
+    def _take_added_mass(self, name: str, link: Element) -> None:
+        """Move the inertia of the fluid around a link of an SDF to the terms."""
+        for element in link.findall("inertial/fluid_added_mass"):
+            drop(link, element.tag)
+            stated = {each.tag: each.text or "" for each in element}
+            entries = [float(numbers(stated.get(tag, ""), 1)[0]) for tag in ADDED_MASS]
+            if not np.isfinite(entries).all():
+                tag = ADDED_MASS[np.isfinite(entries).argmin()]
+                what = f"<{tag}> has {stated[tag].strip()[:50]!r} instead of a number."
+                raise wrong_at(element, self.path, what)
+            matrix = added_mass_matrix(entries)
+            least, *_, most = np.linalg.eigvalsh(matrix)
+            if least < -_ROUNDED * most:
+                what = f"{place_of(element, self.path)}: <{element.tag}> is ignored"
+                reason = f"it has the negative eigenvalue {least:g}"
+                self.terms.left_out.append(f"{what}, as {reason}.")
+            elif most:
+                self.terms.added_mass[name] = matrix
+
     def _take_mimic(self, name: str, scope: str, joint: Element) -> None:
         """Move the mimic of a joint, by scoped name, to the followers."""
         for mimic in [e for e in joint.iter() if e.tag in ("mimic", "drake:mimic")]:
@@ -438,6 +462,8 @@ class SdfText(ModelText):
         for name, model in models:
             self._take_balls(name, model)
             self._links |= {f"{name}::{e.get('name')}": e for e in model.findall("link")}
+        for name, link in self._links.items():
+            self._take_added_mass(name, link)
         for name, model in models:
             self._take_drakes_springs(name, model)
             for joint in model.findall("joint[@type='gearbox']"):
@@ -496,8 +522,8 @@ class SdfText(ModelText):
             if isinstance(include, LocatedElement):
                 include.model = model
             for change in include.iter("experimental:params"):  # applied by Drake
-                drop(change, "collision")
                 self.terms.left_out += unread(change, _CHANGED, self.path)
+                drop(change, "collision", "fluid_added_mass")
         return [*includes.missing, *includes.absent]
 
     def _fix_static(self) -> None:
