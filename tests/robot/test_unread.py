@@ -300,7 +300,7 @@ def test_what_an_include_changes_in_its_model_is_changed(tmp_path):
     <joint name="c" type="fixed"><parent>l1</parent><child>p::l3</child></joint>"""
     held_by = [held(load(tmp_path, SDF, model=model.format(x))) for x in ("", change)]
     np.testing.assert_allclose(held_by[1] - held_by[0], [-9.81 * 3.0 * 0.5, 0.0], atol=1e-12)
-    fluid = change.replace("<mass>4</mass>", "<fluid_added_mass><xx>3</xx></fluid_added_mass>")
+    fluid = change.replace("</mass>", "</mass><fluid_added_mass><xx>3</xx></fluid_added_mass>")
     (said,) = load(tmp_path, SDF, model=model.format(fluid)).left_out
     assert said.endswith("<fluid_added_mass> 3 is ignored.")
 
