@@ -11,6 +11,7 @@ from geodrake.effects.of_files import (
     PolynomialSpring,
     SquaredLoadFriction,
     Strut,
+    StrutCoupling,
 )
 
 EFFECTS = [
@@ -42,6 +43,13 @@ EFFECTS = [
     (AddedMass("wrist", 3.0, 0.2, 0.1, yy=1.0, yr=0.1, zz=2.0, pp=0.1, qq=0.2, rr=0.3), [0.9]),
     (Strut(("column", "wrist"), 0.1, 0.2, 0.3, 0.1, 0.0, 0.2), [30.0, -5.0, 2.0]),
     (Strut(("world", "wrist"), 0.5, 0.2, 1.3, 0.1, 0.0, 0.2), [30.0, -5.0, 2.0]),
+    (
+        StrutCoupling(
+            ("world", "wrist", "column", "wrist"),
+            *(0.5, 0.2, 1.3, 0.1, 0.0, 0.2, 0.1, 0.2, 0.3, 0.1, 0.0, 0.2),
+        ),
+        [30.0, 2.0],
+    ),
     (BallSpring(("column", "wrist"), 0.5, 0.5, -0.5, 0.5), [3.0]),
     (BallSpring(("wrist", "world"), 0.8, 0.0, 0.6, 0.0), [3.0]),
     (SquaredLoadFriction("elbow_pitch", 4.0), [0.1]),

@@ -80,8 +80,8 @@ class Effect(CheckedFields, abc.ABC):
         law: One-line formula of the needed effort, for the table of effects.
         signature: Description of the effect's trace in a residual.
         role: How it changes the efforts.
-        places: Kind of place it is bound to: "joint", "joint_pair", "body", "body_pair", "bodies",
-            "robot" or "log".
+        places: Kind of place it is bound to: "joint", "joint_pair", "body", "body_pair",
+            "body_pairs", "bodies", "robot" or "log".
         parameters: The linear parameters, in the order of the regressor's columns.
         shapes: Unit and usual values of its shape parameters.
         positive: Names of shape parameters that must be above 0.

@@ -68,6 +68,7 @@ PLACES = {
     "joint_pair": Place("joints", (2,), "two joints", "joint pair"),
     "body": Place("body", (1,), "one body", "body"),
     "body_pair": Place("bodies", (2,), "two bodies", "body pair"),
+    "body_pairs": Place("bodies", (4,), "four bodies", "two body pairs"),
     "bodies": Place("", (0,), "no place, as it is one of all bodies", "bodies"),
     "robot": Place("", (0,), "no place, as it is one of the whole robot", "robot"),
     "log": Place("joint", (0, 1), "one joint or none", "log, or joint"),

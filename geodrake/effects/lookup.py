@@ -113,7 +113,7 @@ def make_effect(
         )
     shape = whole_numbers(cls, shape)
     if where:
-        shape[place.field] = tuple(where) if 2 in place.counts else where[0]
+        shape[place.field] = tuple(where) if max(place.counts) > 1 else where[0]
     try:
         return cls(**shape)
     except TypeError as error:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from geodrake.effects.base import (
     Array,
@@ -445,24 +446,79 @@ class Strut(_FileEffect, _BodyPair):
 
     def rows(self, motion: RobotMotion) -> Rows:
         """Return columns of stiffness, preload and damping at the joints that move either body."""
-        bodies = motion.body_motions(self.name)
-        points = ([self.x, self.y, self.z], [self.other_x, self.other_y, self.other_z])
-        (p, J, first), (other_p, other_J, second) = (
-            _point(bodies, body, np.array(point))
-            for body, point in zip(self.bodies, points, strict=True)
-        )
-        separation, relative_J = other_p - p, other_J - J
-        length = np.sqrt((separation * separation).sum(-1))[:, None]
-        direction = (separation / np.maximum(length, _LEAST_LENGTH))[:, None, :]
-        slope = (direction @ relative_J)[:, 0]
-        rate = (slope * motion.v).sum(-1)[:, None]
-        dofs = sorted({*first, *second})
+        points = [self.x, self.y, self.z], [self.other_x, self.other_y, self.other_z]
+        length, slope, dofs = _distance(motion, self.name, self.bodies, points)
+        rate = (slope * motion.v).sum(-1)
         return {
-            motion.joints[dof]: np.stack(
-                [slope[:, dof] * length[:, 0], slope[:, dof], slope[:, dof] * rate[:, 0]], -1
-            )
+            motion.joints[dof]: slope[:, dof, None]
+            * np.stack([length, np.ones_like(length), rate], -1)
             for dof in dofs
         }
+
+
+@dataclass(frozen=True)
+class StrutCoupling(_FileEffect, Effect):
+    """Coupling of two parts of a tendon, between points P and Q and between points R and S.
+
+    With the distances L of P and Q, and M of R and S, effort = (k L + d L̇) ∂M/∂q + (k M + d Ṁ)
+    ∂L/∂q, from the energy k L M. A tendon of stiffness κ over parts of weights wᵢ has k = κ wᵢ wⱼ
+    for each pair, beside a `strut` for each part.
+    """
+
+    bodies: tuple[str, str, str, str]  # names of the bodies of P, Q, R and S, or "world"
+    # Positions in the frames of these bodies, m.
+    p_x: float = 0.0
+    p_y: float = 0.0
+    p_z: float = 0.0
+    q_x: float = 0.0
+    q_y: float = 0.0
+    q_z: float = 0.0
+    r_x: float = 0.0
+    r_y: float = 0.0
+    r_z: float = 0.0
+    s_x: float = 0.0
+    s_y: float = 0.0
+    s_z: float = 0.0
+
+    name = "strut_coupling"
+    places = "body_pairs"
+    law = "(k L + d L̇) ∂M/∂q + (k M + d Ṁ) ∂L/∂q, L and M distances of two points each"
+    complexity = 3
+    shapes = tuple(Shape(f"{point}_{axis}", "m") for point in "pqrs" for axis in "xyz")
+    parameters = (Parameter("stiffness", "N/m"), Parameter("damping", "N·s/m"))
+    signature = "follows the posture at all joints between four bodies"
+    depends_on = frozenset({"q", "v", "bodies"})
+
+    def rows(self, motion: RobotMotion) -> Rows:
+        """Return columns of stiffness and damping at the joints that move any of the bodies."""
+        points = np.array(list(self.shape.values())).reshape(2, 2, 3)
+        (L, first, some), (M, second, others) = (
+            _distance(motion, self.name, (self.bodies[k], self.bodies[k + 1]), points[k // 2])
+            for k in (0, 2)
+        )
+        rates = ((slope * motion.v).sum(-1) for slope in (first, second))
+        pairs = [(L, M), tuple(rates)]
+        columns = [one[:, None] * second + other[:, None] * first for one, other in pairs]
+        return {
+            motion.joints[dof]: np.stack([column[:, dof] for column in columns], -1)
+            for dof in sorted({*some, *others})
+        }
+
+
+def _distance(
+    motion: RobotMotion, effect: str, names: tuple[str, str], points: Sequence[ArrayLike]
+) -> tuple[Array, Array, list[int]]:
+    """Return the distance (N,) of two bodies' points, its slopes (N, nv), and moving velocities."""
+    bodies = motion.body_motions(effect)
+    (p, J, first), (other_p, other_J, second) = (
+        _point(bodies, body, np.asarray(point, float))
+        for body, point in zip(names, points, strict=True)
+    )
+    separation = other_p - p
+    length = np.sqrt((separation * separation).sum(-1))
+    direction = separation / np.maximum(length, _LEAST_LENGTH)[:, None]
+    slope = (direction[:, None, :] @ (other_J - J))[:, 0]
+    return length, slope, sorted({*first, *second})
 
 
 @dataclass(frozen=True)

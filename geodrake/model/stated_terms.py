@@ -33,6 +33,7 @@ from geodrake.effects.file_terms import (
     Rotor,
     Spring,
     StrutEffect,
+    StrutPair,
 )
 from geodrake.inertia import Array, from_spatial_inertia
 from geodrake.inertia.bodies import lumped_bodies
@@ -55,6 +56,7 @@ _WORDS: Mapping[type[Effect], str] = {
     CoupledDry: "dry friction of tendons",
     Carried: "carried weight",
     StrutEffect: "tendon",
+    StrutPair: "coupling of a tendon's parts",
     Ball: "spring of a ball joint",
     AddedMass: "added mass",
     Medium: "medium",
@@ -185,13 +187,8 @@ def _add_of_bodies(effects: StatedEffects, loaded: LoadedPlant) -> None:
         for by, sign in _carriers(loaded, body) if weight[0] else ():
             carried = Carried((body, by), *(weight[1:] / weight[0]).tolist())
             effects.add(carried, sign * weight[0])
-    for strut in terms.struts:
-        (one, X), (two, Y) = (places.get(link, ("", RigidTransform())) for link in strut.bodies)
-        if one and two and one != two:
-            ends = (X @ strut.points[0]).tolist(), (Y @ strut.points[1]).tolist()
-            preload = -strut.stiffness * strut.length
-            effect = StrutEffect((one, two), *ends[0], *ends[1])
-            effects.add(effect, strut.stiffness, preload, strut.damping)
+    for tendon in terms.tendons:
+        _add_tendon(effects, tendon, places)
     for ball in terms.balls:
         (one, X), (two, Y) = (places.get(link, ("", RigidTransform())) for link in ball.bodies)
         if one and two and one != two:
@@ -214,6 +211,30 @@ def _add_of_bodies(effects: StatedEffects, loaded: LoadedPlant) -> None:
             kind = Ellipsoid if each.coefficients else Medium
             values = *each.size, *X_BP.translation(), *turn, *each.wind, *each.coefficients
             effects.add(kind(body, *values), each.density, each.viscosity)
+
+
+def _add_tendon(
+    effects: StatedEffects,
+    tendon: stated.StatedTendon,
+    places: Mapping[str, tuple[str, RigidTransform]],
+) -> None:
+    """Add the parts of a tendon whose length varies, and their couplings."""
+    if not places.keys() >= {link for part in tendon.parts for link in part.bodies}:
+        return  # of another robot
+    moving, rest = list[tuple[float, tuple[str, ...], list[float]]](), tendon.length
+    for part in tendon.parts:
+        ends = [places[link] for link in part.bodies]
+        points = [X @ point for (_, X), point in zip(ends, part.points, strict=True)]
+        bodies = tuple(body for body, _ in ends)
+        if len(set(bodies)) > 1:
+            moving.append((part.weight, bodies, np.ravel(points).tolist()))
+        else:
+            rest -= part.weight * float(np.linalg.norm(points[1] - points[0]))
+    laws = np.array([tendon.stiffness, -tendon.stiffness * rest, tendon.damping])
+    for weight, (one, two), at in moving:
+        effects.add(StrutEffect((one, two), *at), *(laws * [weight**2, weight, weight**2]))
+    for (weight, (a, b), at), (other, (c, d), there) in combinations(moving, 2):
+        effects.add(StrutPair((a, b, c, d), *at, *there), *(weight * other * laws[[0, 2]]))
 
 
 def _carriers(loaded: LoadedPlant, body: str) -> list[tuple[str, float]]:

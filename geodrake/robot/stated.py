@@ -163,12 +163,20 @@ class InMedium:
 
 
 @dataclass(frozen=True)
-class StatedStrut:
-    """A spring and a damper between two points."""
+class TendonPart:
+    """A straight part of a tendon between two points."""
 
     bodies: tuple[str, str]  # scoped names of two bodies
     points: tuple[Array, Array]  # positions (3,) in their frames, m
-    stiffness: float
+    weight: float = 1.0  # share of its length in that of the tendon
+
+
+@dataclass(frozen=True)
+class StatedTendon:
+    """A spring and a damper along a tendon of straight parts."""
+
+    parts: tuple[TendonPart, ...]
+    stiffness: float  # N/m
     length: float  # at rest, m
     damping: float  # N·s/m
 
@@ -224,7 +232,7 @@ class FileTerms:
     in_medium: list[InMedium] = field(default_factory=list)
     # Link -> (6, 6) inertia of the still fluid around it, for its velocity and ω in its frame.
     added_mass: dict[str, Array] = field(default_factory=dict)
-    struts: list[StatedStrut] = field(default_factory=list)
+    tendons: list[StatedTendon] = field(default_factory=list)
     balls: list[StatedBall] = field(default_factory=list)
     gearboxes: list[Gearbox] = field(default_factory=list)
     followers: dict[str, Tie] = field(default_factory=dict)

@@ -162,7 +162,7 @@ def test_an_mjcf_holds_them_as_long_as_the_model_is_that_of_its_file(arm, tmp_pa
 
 
 def test_nobody_proposes_them():
-    assert len(file_effects()) == 9 and not set(file_effects()) & set(catalogue())
+    assert len(file_effects()) == 10 and not set(file_effects()) & set(catalogue())
     assert all(effect.law and effect.signature for effect in file_effects())
     with pytest.raises(ArgumentError, match="no effect 'medium_drags'"):
         make_effect("medium_drags", ["a"])

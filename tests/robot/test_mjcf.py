@@ -128,6 +128,18 @@ TAKEN = {
             "</tendon>",
         )
     ),
+    "tendons of several parts that vary": (
+        mjcf(
+            '<site name="w" pos=".1 .2 .9"/>'
+            + tip(geom=GEOM + '<site name="u" pos="0 0 .1"/><site name="x" pos=".1 .1 0"/>')
+            + f'<body pos=".2 0 0" euler="9 8 7">{GEOM}<site name="v" pos=".1 .2 .3"/></body>',
+            arm=GEOM + '<site name="s" pos="1 0 0"/>',
+            tail='<tendon><spatial stiffness="40" damping="3" springlength=".2"><site site="s"/>'
+            '<site site="u"/><site site="x"/><site site="v"/><site site="w"/><pulley divisor="2"/>'
+            '<site site="w"/><site site="u"/><pulley divisor="3"/><site site="u"/><site site="v"/>'
+            '<site site="u"/></spatial></tendon>',
+        )
+    ),
     "a medium around ellipsoids of each kind, and a body that counts as a box": (
         mjcf(
             tip(
@@ -251,14 +263,14 @@ LEFT_OUT = {
         ),
         zero(actuator_dampingpoly=0),
     ),
-    "Tendon p with stiffness 40": (
+    "Tendon p with stiffness 40, damping 2": (
         mjcf(
             tip(geom=GEOM + '<site name="u" pos="0 0 .1"/>'),
-            arm=GEOM + '<site name="s" pos="1 0 0"/><site name="v"/>',
-            tail='<tendon><spatial name="p" stiffness="40"><site site="s"/><site site="u"/>'
-            '<site site="v"/></spatial></tendon>',
+            arm=GEOM + '<site name="s" pos="1 0 0"/><geom name="g" size=".02"/>',
+            tail='<tendon><spatial name="p" stiffness="40" damping="2"><site site="s"/>'
+            '<geom geom="g"/><site site="u"/></spatial></tendon>',
         ),
-        zero(tendon_stiffness=0),
+        zero(tendon_stiffness=0, tendon_damping=0),
     ),
     "Tendon p with stiffness 5 is": (
         mjcf(

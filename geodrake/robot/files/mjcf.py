@@ -58,7 +58,8 @@ from geodrake.robot.stated import (
     Spring,
     StatedBall,
     StatedLength,
-    StatedStrut,
+    StatedTendon,
+    TendonPart,
 )
 from geodrake.robot.transmission.schema import Coupled, Gear
 
@@ -218,7 +219,7 @@ class MjcfTerms:
         limits[name] = min(most, limits.get(name, np.inf))
 
     def _take_tendons(self) -> None:
-        """Read fixed tendons and struts, with notes on other tendons."""
+        """Read tendons, with notes on what is ignored."""
         m = self.m
         for at in range(m.ntendon):
             low, high = (float(x) for x in m.tendon_lengthspring[at])
@@ -226,7 +227,7 @@ class MjcfTerms:
             where = _rows_of("tendon", at)
             has = self._numbers(where)
             self._take_along(name, fixed_tendon(m, at), has, length)
-            self._take_strut(at, has, length)
+            self._take_spatial(at, has, length)
             self._ignore_rest("tendon", at, has, where)
 
     def _take_along(
@@ -257,44 +258,33 @@ class MjcfTerms:
             name=name,
         )
 
-    def _take_strut(self, at: int, has: dict[str, Array], length: float | None) -> None:
-        """Read spring and damper of a tendon over sites with only one part of variable length."""
-        m, data = self.m, self.mujoco.MjData(self.m)
+    def _take_spatial(self, at: int, has: dict[str, Array], length: float | None) -> None:
+        """Read spring and damper of a tendon over sites and pulleys."""
         parts = self._parts(at)
-        moving = [part for part in parts if len(set(m.body_weldid[m.site_bodyid[part[0]]])) > 1]
-        if not parts or len(moving) > 1 or has["stiffness"][0] < 0.0:
+        if not parts or has["stiffness"][0] < 0.0:
             return
         (stiffness,) = [0.0] if length is None else _pop(has, "stiffness")
         (damping,) = _pop(has, "damping")
-        if not moving or not (stiffness or damping):
-            return
-        ((sites, share),) = moving
-        self.mujoco.mj_kinematics(m, data)
-        rest = length or 0.0
-        for (one, two), part_of in (part for part in parts if part not in moving):
-            rest -= part_of * float(np.linalg.norm(data.site_xpos[one] - data.site_xpos[two]))
-        one, two = (int(m.site_bodyid[site]) for site in sites)
-        first, second = (self._body(body) if body else WORLD_LINK for body in (one, two))
-        points = np.array(m.site_pos[sites[0]]), np.array(m.site_pos[sites[1]])
-        stiffness, damping = share**2 * stiffness, share**2 * damping
-        strut = StatedStrut((first, second), points, stiffness, rest / share, damping)
-        self.found.struts.append(strut)
+        if stiffness or damping:
+            tendon = StatedTendon(tuple(parts), stiffness, length or 0.0, damping)
+            self.found.tendons.append(tendon)
 
-    def _parts(self, at: int) -> list[tuple[list[int], float]]:
-        """Return consecutive pairs of sites of a tendon over sites and pulleys, with weights.
-
-        The result is empty for a tendon over anything else.
-        """
+    def _parts(self, at: int) -> list[TendonPart]:
+        """Return the parts of a tendon over sites and pulleys; empty over anything else."""
         m, kinds, first = self.m, self.mujoco.mjtWrap, int(self.m.tendon_adr[at])
-        parts, share, last = list[tuple[list[int], float]](), 1.0, -1
+        parts, weight, last = list[TendonPart](), 1.0, -1
         for k in range(first, first + int(m.tendon_num[at])):
             kind, site = int(m.wrap_type[k]), int(m.wrap_objid[k])
             if kind == kinds.mjWRAP_PULLEY:
-                share, last = 1.0 / float(m.wrap_prm[k]), -1
+                weight, last = 1.0 / float(m.wrap_prm[k]), -1
                 continue
             if kind != kinds.mjWRAP_SITE:
                 return []
-            parts += [([last, site], share)] if last >= 0 else []
+            if last >= 0:
+                one, two = (int(m.site_bodyid[each]) for each in (last, site))
+                names = [self._body(body) if body else WORLD_LINK for body in (one, two)]
+                points = np.array(m.site_pos[last]), np.array(m.site_pos[site])
+                parts.append(TendonPart((names[0], names[1]), points, weight))
             last = site
         return parts
 

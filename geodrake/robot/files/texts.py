@@ -63,7 +63,8 @@ from geodrake.robot.stated import (
     Gearbox,
     Spring,
     StatedLength,
-    StatedStrut,
+    StatedTendon,
+    TendonPart,
 )
 from geodrake.robot.transmission.schema import Coupled, Gear
 
@@ -296,7 +297,8 @@ class ModelText(abc.ABC):
                 keys = ("stiffness", "free_length", "damping")
                 stiffness, length, damping = (float(value(key)[0]) for key in keys)
                 pair = links[0], links[1]
-                self.terms.struts.append(StatedStrut(pair, points, stiffness, length, damping))
+                part = TendonPart(pair, points)
+                self.terms.tendons.append(StatedTendon((part,), stiffness, length, damping))
                 continue
             name = of_drake(spring, "joint")
             if joints.get(name) not in CUT:
