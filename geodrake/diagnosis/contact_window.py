@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from geodrake.compiling import compiled, contiguous
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.episode import PointEpisode
+from geodrake.identification.bounded_descent import bounded_least_squares
 from geodrake.identification.logs.evidence import effective_samples
 from geodrake.logs.filtering import ZeroPhaseFilter
 
@@ -23,16 +22,16 @@ PIECES = 4
 SHORTEST = 0.2
 """Shortest contact, s."""
 
-FEW, ENOUGH = 120, 240
-"""Iterations of the search for a contact's times and point: first, and for the final body."""
+FEW, ENOUGH = 10, 40
+"""Steps of the search for a contact's times and point: first, and for the final body."""
 
 _NEGLIGIBLE = 1e-4  # norm of a column, over the largest
 _SINGULAR = 0.05  # relative singular value at a residual of the noise's size
 _LEAST_SINGULAR, _LARGEST_SINGULAR = 2e-3, 0.02
 _FARTHEST = 2.0  # m, largest coordinate of the point in the body frame
 _SHARPEST = 1e-3  # s
-_STEPS = np.array([0.05, 0.05, 0.5, 0.1, 0.1, 0.1])  # initial: s, s, logarithm, m, m, m
-_STEPS_IN_TIME = 3  # number of the steps in time, which come first
+# Deviations of a guess: start and end, s, logarithm of the rise, and point, m.
+_UNSURE = np.array([0.5, 0.5, 2.0, 0.5, 0.5, 0.5])
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +55,8 @@ def columns(window: ResidualWindow, contact: PointEpisode) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class WrenchColumns:
-    """Columns of a body's contact at the d joints that move it, for a search over contacts."""
+class _Contacts:
+    """Contacts of a body in a window, at the d joints that move it."""
 
     # (N, 5, 3 d) efforts of a constant wrench, over `size`: forces at Bo, their arms along x, y and
     # z, and moments, in body axes if the contact turns with the body.
@@ -65,11 +64,12 @@ class WrenchColumns:
     time: Array  # (N,) instants at the full rate
     filter: ZeroPhaseFilter  # the log's filter
     rows: NDArray[np.bool_]  # (K, d) whether a residual is known
+    residual: Array  # (M,) known residuals over `size`
 
     @classmethod
-    def of(cls, window: ResidualWindow, contact: PointEpisode) -> WrenchColumns:
-        """Return the columns of a contact's body in a window."""
-        motion, low_pass = window.bodies.motion(contact.body), window.filter
+    def of(cls, window: ResidualWindow, contact: PointEpisode) -> _Contacts:
+        """Return the contacts of a contact's body in a window."""
+        motion = window.bodies.motion(contact.body)
         dofs, R = list(motion.dofs), motion.rotation.transpose(0, 2, 1)
         angular, linear = (
             J[:, :, dofs].transpose(0, 2, 1) for J in (motion.angular, motion.linear)
@@ -79,98 +79,98 @@ class WrenchColumns:
         if contact.turning:
             parts = parts @ motion.rotation[:, None]
         values = contiguous((parts / window.size[dofs, None]).reshape(len(parts), 5, -1))
-        rows = np.isfinite(window.residual[:, dofs])
-        return cls(values, window.time, low_pass, rows)
+        residual = window.residual[:, dofs]
+        rows = np.isfinite(residual)
+        return cls(values, window.time, window.filter, rows, residual[rows])
 
-    def columns(self, shape: Array) -> Array:
-        """Return the known rows of `columns` at the joints that move the body.
+    def unexplained(self, shape: Array, free: int) -> tuple[Array, Array]:
+        """Return the residual (M,) that the best wrench leaves, and its slopes (M, `free`).
+
+        Slopes neglect the change of the explained part, as Kaufman does. Wrenches have no
+        directions of little effect.
 
         Args:
-            shape: (6,) start, end and rise, s, and the point, m.
+            shape: (6,) start, end, logarithm of the rise, and the point, m.
+            free: Number of leading elements of `shape` that vary.
         """
-        after, before = (np.tanh((self.time - edge) / shape[2]) for edge in shape[:2])
-        low_pass, out = self.filter, np.zeros((*self.rows.shape, 6))
-        weights = 0.5 * (after - before)
-        filters = contiguous(low_pass.kernel), low_pass.decimation
-        add_wrench_columns(self.parts, weights, filters, contiguous(shape[3:]), out)
-        return out[self.rows]
+        sums = self._filtered(shape)
+        force = sums[:, :, 0] + np.tensordot(sums[:, :, 1:4], shape[3:], (2, 0))
+        columns = np.concatenate([force, sums[:, :, 4]], -1)
+        A, sizes = columns[:, 0], _sizes(columns[:, 0])
+        U, values, Vt = np.linalg.svd(A / sizes, full_matrices=False)
+        useful = values > max(_cut(self.residual) * values[0], np.finfo(float).tiny)
+        U, explained = U[:, useful], U[:, useful].T @ self.residual
+        wrench = (explained / values[useful]) @ Vt[useful] / sizes
+        J = np.hstack([columns[:, 1:] @ wrench, sums[:, 0, 1:4] @ wrench[:3]])[:, :free]
+        return self.residual - U @ explained, U @ (U.T @ J) - J
+
+    def _filtered(self, shape: Array) -> Array:
+        """Return `parts` (M, 4, 5, 3) of a contact, and their slopes by start, end and rise."""
+        rise = float(np.exp(shape[2]))
+        since = (self.time - shape[:2, None]) / rise
+        after, before = np.tanh(since)
+        begins, ends = 0.5 * (1.0 - np.square([after, before]))
+        weights = [
+            0.5 * (after - before),
+            -begins / rise,
+            ends / rise,
+            since[1] * ends - since[0] * begins,
+        ]
+        sums = np.empty((len(self.rows), len(weights), *self.parts.shape[1:]))
+        filters = contiguous(self.filter.kernel), self.filter.decimation
+        calc_weighted(self.parts, np.stack(weights), filters, sums)
+        return np.moveaxis(sums.reshape(*sums.shape[:3], -1, 3), 3, 1)[self.rows]
 
 
 @compiled
-def add_wrench_columns(
-    parts: Array, weights: Array, filters: tuple[Array, int], point: Array, out: Array
-) -> None:
-    """Add the filtered columns (K, d, 6) of a force and a moment at a point (3,), m.
+def calc_weighted(parts: Array, weights: Array, filters: tuple[Array, int], out: Array) -> None:
+    """Write the filtered products (K, W, 5, 3 d) of `_Contacts.parts` with weights (W, N).
 
     Args:
-        parts: (N, 5, 3 d) `WrenchColumns.parts`.
-        weights: (N,) factor of the wrench over time.
+        parts: (N, 5, 3 d).
+        weights: (W, N) factors of a wrench over time.
         filters: (T,) weights of the filter, and its decimation.
     """
     kernel, step = filters
-    sums = np.empty_like(parts[0])
+    out[:] = 0.0
     for k in range(len(out)):
-        sums[:] = 0.0
-        for t in range(len(kernel)):
-            weight = weights[k * step + t] * kernel[t]
-            if weight != 0.0:
-                part = parts[k * step + t]
-                for a in range(len(sums)):
-                    for i in range(sums.shape[1]):
-                        sums[a, i] += weight * part[a, i]
-        for j in range(out.shape[1]):
-            for i in range(3):
-                force = sums[0, 3 * j + i]
-                for axis in range(3):
-                    force += point[axis] * sums[1 + axis, 3 * j + i]
-                out[k, j, i] += force
-                out[k, j, 3 + i] += sums[4, 3 * j + i]
+        for w in range(len(weights)):
+            sums = out[k, w]
+            for t in range(len(kernel)):
+                weight = weights[w, k * step + t] * kernel[t]
+                if weight != 0.0:
+                    part = parts[k * step + t]
+                    for a in range(len(sums)):
+                        for i in range(sums.shape[1]):
+                            sums[a, i] += weight * part[a, i]
 
 
-def refined(window: ResidualWindow, contact: PointEpisode, *, tries: int = ENOUGH) -> PointEpisode:
-    """Return the contact with the times and point that minimize the squared residual."""
-    wrench = WrenchColumns.of(window, contact)
-    dofs = list(window.bodies.motion(contact.body).dofs)
-    b = window.residual[:, dofs][wrench.rows]
-    cut = _cut(b)
-    # A moment that turns with the force makes the point redundant.
-    steps: Array = _STEPS[:_STEPS_IN_TIME] if contact.turning else _STEPS
+def refined(window: ResidualWindow, contact: PointEpisode, *, steps: int = ENOUGH) -> PointEpisode:
+    """Return the contact at the most probable times and point near those of a guess.
 
+    A moment that turns with the force makes the point redundant. Each edge stays on its side of
+    the window's middle.
+    """
+    contacts, free = _Contacts.of(window, contact), contact.free_shapes
     names = ("start", "end", "rise", "x", "y", "z")
-    origin = np.array([getattr(contact, name) for name in names])
+    guess = np.array([getattr(contact, name) for name in names])
+    guess[2] = np.log(guess[2])
+    middle, span = 0.5 * (contact.start + contact.end), contact.end - contact.start
+    lower, upper = np.array([-_FARTHEST, _FARTHEST])[:, None] * np.ones(len(names))
+    lower[:3] = -np.inf, middle + 0.25 * SHORTEST, np.log(_SHARPEST)
+    upper[:3] = middle - 0.25 * SHORTEST, np.inf, np.log(0.25 * span)
+    bounds, weights = (lower[:free], upper[:free]), np.diag(1.0 / _UNSURE[:free])
 
-    def moved(step: Array) -> Array | None:
-        shape = origin.copy()
-        shape[: len(step)] += step
-        shape[2] = origin[2] * np.exp(step[2])
-        span = shape[1] - shape[0]
-        if span < 0.5 * SHORTEST or not _SHARPEST <= shape[2] <= 0.25 * span:
-            return None
-        return shape if np.abs(shape[3:]).max() <= _FARTHEST else None
+    def with_slopes(x: Array) -> tuple[Array, Array]:
+        residual, J = contacts.unexplained(np.concatenate([x, guess[free:]]), free)
+        return np.hstack([residual, weights @ (x - guess[:free])]), np.vstack([J, weights])
 
-    def explained(step: Array) -> float:
-        """Return the squares explained by a wrench, without directions of little effect."""
-        shape = moved(step)
-        if shape is None:
-            return 0.0
-        A = wrench.columns(shape)
-        A /= _sizes(A)
-        values, vectors = np.linalg.eigh(A.T @ A)
-        clear = values > max(cut**2 * values[-1], np.finfo(float).tiny)
-        return float(np.sum(np.square((A.T @ b) @ vectors[:, clear]) / values[clear]))
-
-    best = minimize_step(lambda x: -explained(x), steps, tries, xatol=1e-3, fatol=1e-2)
-    shape = moved(best)
-    if shape is None:
-        return contact
+    x, _ = bounded_least_squares(
+        (lambda x: with_slopes(x)[0], with_slopes), np.clip(guess[:free], *bounds), bounds, steps
+    )
+    shape = np.concatenate([x, guess[free:]])
+    shape[2] = np.exp(shape[2])
     return replace(contact, **dict(zip(names, shape.tolist(), strict=True)))
-
-
-def minimize_step(loss: Callable[[Array], float], steps: Array, most: int, **tol: float) -> Array:
-    """Return the step from zero to the minimum of a loss, by the Nelder–Mead simplex."""
-    simplex = np.vstack([np.zeros(len(steps)), np.diag(steps)])
-    options = {"initial_simplex": simplex, "maxiter": most, **tol}
-    return np.asarray(minimize(loss, simplex[0], method="Nelder-Mead", options=options).x)
 
 
 def with_point(window: ResidualWindow, contact: PointEpisode) -> PointEpisode:

@@ -279,7 +279,7 @@ def _contacts(case: Case, log: str, window: ResidualWindow, tests: int) -> list[
         return []
     by_share = sorted(range(len(rough)), key=lambda k: -first[k].share)[:_REFINED]
     by_fit = sorted(range(len(rough)), key=lambda k: -first[k].fitted)[:_REFINED]
-    shapes = [refined(window, rough[k], tries=FEW) for k in sorted({*by_share, *by_fit})]
+    shapes = [refined(window, rough[k], steps=FEW) for k in sorted({*by_share, *by_fit})]
     tried_shapes = [(shape, evidence(window, shape)) for shape in shapes]
     best = max(found.share for _, found in tried_shapes)
     if best < 0.5 * _LEAST_SHARE:

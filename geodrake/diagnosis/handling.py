@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
+from scipy.optimize import minimize
 
-from geodrake.diagnosis.contact_window import minimize_step
 from geodrake.diagnosis.episodes import MOST_TIME
 from geodrake.diagnosis.log_model import Fit, LogModel
 from geodrake.diagnosis.residuals import cut_out
@@ -397,8 +397,11 @@ def _timed(around: _Base, payload: Episode) -> Episode:
         gain, mass = _gains(np.asarray(sums)[None], around.prior)
         return -float(gain[0]) if mass[0] > 0.0 else 0.0
 
-    steps = np.array([*(_STEP for _ in edges), _STEP_OF_RISE])
-    return moved(minimize_step(lost, steps, _TRIES, xatol=1e-4, fatol=1e-3)) or payload
+    steps = np.diag([*(_STEP for _ in edges), _STEP_OF_RISE])
+    simplex = np.vstack([np.zeros(len(steps)), steps])
+    options = {"initial_simplex": simplex, "maxiter": _TRIES, "xatol": 1e-4, "fatol": 1e-3}
+    best = minimize(lost, simplex[0], method="Nelder-Mead", options=options).x
+    return moved(np.asarray(best)) or payload
 
 
 @dataclass(frozen=True, eq=False)
