@@ -67,6 +67,7 @@ class ReadingOptions:
         topic (NAME): Topic of a bag, or channel of an LCM log; an unknown name, such as x, lists
             all. Several are joined by time. In a table with several robots, the word that
             names one in its columns, such as left; all if it is one robot. Repeatable.
+        dbc (FILE): DBC of the robot's CAN bus, for traces of it (candump, .asc, .blf, .trc).
         episode (N): Episode of a LeRobot dataset or of a file of demonstrations; default all.
         skip_bad_rows: Skip corrupt rows, up to 1 %, and report their number.
     """
@@ -81,6 +82,7 @@ class ReadingOptions:
     motors: Path | None = None
     passive: list[str] | None = None
     topic: list[str] | None = None
+    dbc: Path | None = None
     episode: int | None = None
     skip_bad_rows: bool = False
 
@@ -107,6 +109,7 @@ class ReadingOptions:
             motors=self._motors,
             skip_bad_rows=self.skip_bad_rows,
             topic=tuple(self.topic or ()),
+            dbc=self.dbc,
             episode=self.episode,
         )
 

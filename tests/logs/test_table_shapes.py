@@ -835,7 +835,7 @@ def one_after_the_other(begins):
         ("a.zip", zipped({"a.mat": ""}), r"of 0 logs of text, JSON or NPZ; it has a\.mat"),
         ("a.zip", text("PK"), "is no complete ZIP archive: .* Copy it again"),
         ("a.tdms", text("TDSm"), "Convert it to CSV"),
-        ("a.log", "(1700000000.25) can0 181#D326113F\n", "a CAN bus.* Decode it with"),
+        ("a.log", "(1700000000.25) can0 181#D326113F\n", "a CAN bus.* --dbc"),
         ("a.dat", "DIAEXTENDED {@:ENGLISH\n", "the header of a recording of DIAdem"),
         ("a.h5", in_hdf5({"t": TIME, "q": np.zeros((ROWS, 4, 2)), "tau": EFFORT}), "environments"),
         ("a.json", json.dumps(ONE_NUMBER), "lists of 2 numbers, but one of 1 in row 1"),

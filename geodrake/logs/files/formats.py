@@ -25,6 +25,7 @@ from geodrake.logs.files.array_files import (
     read_rsi,
     read_yaml,
 )
+from geodrake.logs.files.can_traces import BEGINNING, TRACES, read_trace
 from geodrake.logs.files.grouped_arrays import regrouped
 from geodrake.logs.files.joined_tables import joined_tables
 from geodrake.logs.files.message_logs import MAGIC, read_bag, read_lcm
@@ -37,9 +38,9 @@ from geodrake.logs.files.name_rules import (
     quantity_of,
     tells,
 )
-from geodrake.logs.files.packed_files import JSON, PACKABLE, TEXT, unpacked
+from geodrake.logs.files.packed_files import JSON, PACKABLE, TEXT, open_log, unpacked
 from geodrake.logs.files.reading import Reading
-from geodrake.logs.files.table import LogTable
+from geodrake.logs.files.table import LogTable, readable
 from geodrake.logs.files.text_file import read_sheet, read_text
 from geodrake.logs.files.units import WORDS
 
@@ -62,6 +63,7 @@ _READERS: Mapping[Reader, Sequence[str]] = {
     read_json: JSON,
     read_yaml: _YAML,
     read_sheet: _SHEETS,
+    read_trace: TRACES,
 }
 SUFFIXES = {suffix: reader for reader, suffixes in _READERS.items() for suffix in suffixes}
 """Suffix -> reader of files."""
@@ -85,6 +87,8 @@ BEGINNINGS: Mapping[bytes, Reader] = {
 }
 """First bytes -> reader of files without a specific suffix, such as lcm-logger's."""
 
+_FIRST = 200  # bytes that show the format of a text
+
 
 def table_of(path: Path, reading: Reading) -> LogTable:
     """Return the table of a file of any format, whose columns may be read later."""
@@ -104,7 +108,7 @@ def table_of(path: Path, reading: Reading) -> LogTable:
             or f"Name it .csv if it is text, or convert it to one of {', '.join(SUFFIXES)}.",
         )
     table = reader(path, reading)
-    if kind not in (*TEXT, *_SHEETS, ".npy", ".npz"):
+    if kind not in (*TEXT, *_SHEETS, ".npy", ".npz") or reader is read_trace:
         return table
     names = [*table.names, *table.words]
     words = frozenset().union(*map(plain_words, table.names))  # one may name a robot
@@ -124,10 +128,14 @@ def reader_of(path: Path) -> Reader | None:
     kind = unpacked(path).suffix.lower()
     if kind in (*TEXT, *_MODELS) or kind not in SUFFIXES:
         with open_regular(path, "log", LogError) as file:
-            first = file.read(max(map(len, BEGINNINGS)))
+            first = file.read(_FIRST)
         readers = (reader for begin, reader in BEGINNINGS.items() if first.startswith(begin))
         if (special := next(readers, None)) is not None:
             return special
+    if kind in TEXT:  # perhaps compressed
+        with readable(path, f"{path.suffix} file"), open_log(path) as file:
+            if BEGINNING.match(file.read(_FIRST)):
+                return read_trace
     return SUFFIXES.get(kind)
 
 

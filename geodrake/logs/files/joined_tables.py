@@ -46,7 +46,9 @@ from geodrake.logs.floating import FLAG, vectors
 from geodrake.logs.motion import EFFORT_KINDS
 from geodrake.logs.time_stamps import longest_step
 
-_YEARS = 9e8  # s; larger stamps count from 1970
+YEARS = 9e8
+"""Time stamps above this, s, count from 1970."""
+
 _ROUNDING = 1e-6  # s, rounding of stamps in different formats
 _ROWS_APART = 2.0  # rows by which durations may differ if parts begin together
 RARE = "is too slow"
@@ -299,7 +301,7 @@ def _one_clock(
     if first is None:
         return [*times], None, ()
     zeros = [
-        0 if zero is None and np.nanmedian(time) > _YEARS else zero
+        0 if zero is None and np.nanmedian(time) > YEARS else zero
         for zero, time in zip(zeros, times, strict=True)
     ]
     shifted = [t + 1e-9 * ((z or 0) - first) for z, t in zip(zeros, times, strict=True)]

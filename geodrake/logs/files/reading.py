@@ -126,6 +126,7 @@ class Reading:
         skip_bad_rows: Skip corrupt rows, if they are at most 1 %.
         topic: Topic of a bag or channel of an LCM log, or several of a bag, which are joined by
             time; a word in the columns of one of several robots; None for the best match.
+        dbc: DBC file that decodes traces of a CAN bus.
         episode: Episode of a dataset, or of demonstrations; None to concatenate all.
         ignored: Columns that are not used.
         motorless: Joints that are passive if a log has no efforts of them, or only zeros.
@@ -144,6 +145,7 @@ class Reading:
     skip_bad_rows: bool = False
     topic: str | Sequence[str] | None = None
     episode: int | None = None
+    dbc: Path | None = None
     gain_deviations: Mapping[str, float] = field(default_factory=dict)
     usual_deviation: float = USUAL_GAIN_DEVIATION
     kinds: Mapping[str, str] = field(default_factory=dict)
