@@ -96,7 +96,8 @@ def inspect_log(
     missing = [joint for joint in joints or () if joint not in (*log.joints, *log.standing)]
     notes = [f"the model's {', '.join(missing)} have no measurements"] if missing else []
     time = columns.sources.get("time")
-    first = tuple(filter(None, (position_unit_hint(log), effort_hint(log), unused)))
+    hints = position_unit_hint(log), effort_hint(log), *log.assumed, unused
+    first = tuple(filter(None, hints))
     return LogInspection(
         log,
         time.column if time else "",
@@ -105,7 +106,7 @@ def inspect_log(
         float(steps[~gap].std()) if (~gap).any() else 0.0,
         tuple((float(_known(log.time)[k]), float(steps[k])) for k in np.flatnonzero(gap).tolist()),
         tuple(_rests(log, period)),
-        (*first, *log.notes, *notes),
+        tuple(dict.fromkeys((*first, *log.notes, *notes))),
         time.unit.name if time and time.unit else "",
         first,
     )

@@ -93,6 +93,7 @@ class JointLog(Short):
         contacts: Possible contacts of a free base, unless its wrenches were measured.
         motors: Joint -> its motor, whose data sheet gives the expected gains of its signals.
         left_out: Joints of the file that are left out, as the model lacks them.
+        assumed: The notes on columns without names of joints, which results begin with.
     """
 
     name: str
@@ -117,6 +118,7 @@ class JointLog(Short):
     contacts: ContactFlags | None = field(default=None, kw_only=True)
     motors: Mapping[str, Motor] = field(default_factory=dict, kw_only=True)
     left_out: tuple[str, ...] = field(default=(), kw_only=True)
+    assumed: tuple[str, ...] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
         instance(self.name, "name", str)

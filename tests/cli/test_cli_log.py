@@ -155,6 +155,22 @@ def test_other_names_give_the_same_numbers(tmp_path):
     assert nrms("bare.csv", *options, *gains) == pytest.approx(expected, rel=1e-6)
 
 
+def test_joints_assumed_from_numbers_are_said_once_and_first(tmp_path):
+    rows, said = table(), "q_0 … q_1, tau_0 … tau_1 are numbered: assigned to joints in the model's"
+    logs = [
+        write(tmp_path / f"{k}.csv", "t,q_0,q_1,tau_0,tau_1", half)
+        for k, half in enumerate(np.split(rows, 2))
+    ]
+    for command in ("compare", "explain"):
+        options = [command, PENDULUM, "--bandwidth", "5", "--quiet"]
+        output = told(*options, logs[0])
+        assert output.index("Check first") < output.index(said) < output.index("Verdict")
+        both = told(*options, *logs, "--details")
+        assert both.count(said) == 1 and f"all logs: columns {said}" in both
+    own = told("compare", PENDULUM, write(tmp_path / "own.csv", OWN, rows), "--bandwidth", "5")
+    assert "Check first" not in own
+
+
 def test_a_failed_reading_proposes_a_mapping(tmp_path):
     rows = table()
     log = write(tmp_path / "log.csv", "x1,x2,x3,x4,x5", rows)

@@ -725,3 +725,19 @@ def test_ambiguous_names_of_targets_and_torques(read_table):
     log = read_table(named([*names, *indexed("i", 7)], time, q, q + 0.01, tau))
     np.testing.assert_allclose(log.effort, tau)
     assert set(log.effort_kinds.values()) == {"current"}
+
+
+@pytest.mark.parametrize("letters", ["mc", "cm"])
+def test_measured_and_commanded_letters_are_asked_about_with_the_measured_first(
+    read_table, letters
+):
+    """As q_m and q_c in logs of Rokae's robots."""
+    time, q, v, tau = motion(IIWA)
+    columns, known = {"time": time}, {"m": (q, v, tau), "c": (0.9 * q, 0.9 * v, 0.8 * tau)}
+    for letter in letters:
+        for what, values in zip(("q", "dq", "tau"), known[letter], strict=True):
+            columns |= named([f"{what}_{letter}_{k}" for k in range(7)], values)
+    asks = r"of m and of c\. Choose one: --topic m \(probably measured, as c are commanded\)"
+    with pytest.raises(LogError, match=asks):
+        read_table(columns, IIWA)
+    check(read_table(columns, IIWA, topic="m"), IIWA, q, v, tau)

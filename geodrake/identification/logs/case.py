@@ -186,9 +186,11 @@ def open_case(
         "fit counts it twice"
         for log in trained
     ]
-    first = tuple(dict.fromkeys([*hints, *unused, *left_out, *training]))
+    assumed = dict.fromkeys(note for log in matched for note in log.assumed)
+    places = [_in_which(matched, note) for note in assumed]
+    first = tuple(dict.fromkeys([*hints, *unused, *places, *left_out, *training]))
     notes = [*first, *model.notes, *gain_notes, *filter(None, changed)]
-    notes += [f"{t.name}: {note}" for t in trajectories for note in t.notes]
+    notes += [f"{t.name}: {x}" for t in trajectories for x in t.notes if x not in assumed]
     notes += [*_still_notes(dataset), f"validated on {len(folds)} held-out folds"]
     return Case(
         model,
@@ -451,6 +453,12 @@ def _naming_units(hints: Sequence[str]) -> Iterator[None]:
             raise
         advice = f"{' '.join(hints)} {error.advice}"
         raise LogError(error.problem, advice=advice, **error.evidence) from error
+
+
+def _in_which(logs: Sequence[JointLog], note: str) -> str:
+    """Return an assumption of some logs with their names."""
+    names = [log.name for log in logs if note in log.assumed]
+    return f"{'all logs' if len(names) == len(logs) > 1 else ', '.join(names)}: {note}"
 
 
 def _hints(log: JointLog, model: RobotModel) -> list[str]:

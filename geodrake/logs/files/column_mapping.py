@@ -493,7 +493,7 @@ def _by_names(
         parsed += bare
     states = [*state_columns(table, columns, parsed, reading)] if joints else []
     parsed = [*states, *(m for m in parsed if m.column not in {each.column for each in states})]
-    texts += [f"taken as states and inputs, in the model's order: {_span(states)}"] * bool(states)
+    assumed = [f"taken as states and inputs, in the model's order: {_span(states)}"] * bool(states)
     terms = [words for words in map(plain_words, reading.topics) if words]
     parsed = [m for m in parsed if any(words <= plain_words(m.column) for words in terms)] or parsed
     parsed, spare_texts = _without_spare(table, parsed, joints)
@@ -516,7 +516,8 @@ def _by_names(
     if (time := time_source(table, reading)) is not None:
         places = {("", "time"): time, **places}
     native = frozenset(m.joint for m in of_joints if m.style[0] == "own")
-    texts, rate = [*texts, *notes, *choice_words(best)], reading.rate
+    assumed += notes
+    texts, rate = [*texts, *assumed, *choice_words(best)], reading.rate
     unknown = {k: s.unit.name for k, s in places.items() if s.unit and np.isnan(s.unit.factor)}
     if unknown:
         lost, names = listed([places[k].column for k in unknown]), dict.fromkeys(unknown.values())
@@ -525,7 +526,11 @@ def _by_names(
     if rate is None and time is None and (stated := table.rate or _steady_rate(table)):
         rate, name = stated
         texts.append(f"{rate:.6g} Hz, from {name!r} in the file")
-    return Columns(path, reading, places, texts, rate, native, others)
+    given = (path, reading, places, texts, rate, native, others)
+    return Columns(*given, assumed=tuple(assumed))
+
+
+_MEASURED, _COMMANDED = "m", "c"  # as in q_m and q_c
 
 
 def _check_one_robot(path: Path, best: Best) -> None:
@@ -539,11 +544,12 @@ def _check_one_robot(path: Path, best: Best) -> None:
     word_sets = differences.get("position", set()) | differences.get("effort", set())
     if any(words and PAIRS.issuperset(words) for words in word_sets):
         word_sets.discard(frozenset())  # quantities that only one robot has
-    robots = sorted(next(iter(word_sets), ()))
+    robots = sorted(next(iter(word_sets), ()), key=lambda word: (word != _MEASURED, word))
     if len(word_sets) == 1 and len(robots) == 2:
+        hint = f" (probably measured, as {_COMMANDED} are commanded)"
         raise LogError(
             f"Log {str(path)!r} has each joint twice: of {robots[0]} and of {robots[1]}.",
-            advice=f"Choose one: --topic {robots[0]}.",
+            advice=f"Choose one: --topic {robots[0]}{hint * (robots == [_MEASURED, _COMMANDED])}.",
         )
 
 
@@ -654,6 +660,7 @@ class Columns:
     # Name -> column of a floating base or of contacts.
     floating: dict[str, Meaning] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()  # joints of the file that the log does not use
+    assumed: tuple[str, ...] = ()  # notes on joints that columns do not name
 
     @property
     def sources(self) -> dict[str, Meaning]:

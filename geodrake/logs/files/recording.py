@@ -109,6 +109,7 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
         origin=columns.origin,
         floating={name: data[name] for name in columns.floating},
         left_out=columns.left_out,
+        assumed=columns.assumed,
     )
 
 
