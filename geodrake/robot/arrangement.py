@@ -173,36 +173,52 @@ def _opened(joint: Joint, name: str, actuators: list[JointActuator]) -> Closure:
 def geared(plant: MultibodyPlant, box: Gearbox) -> tuple[str, Tie] | None:
     """Return the joint that follows another one by a gearbox, and its tie; the slower one leads.
 
-    Return None unless a revolute joint connects each link to the reference, about the box's axis.
+    Return None unless only revolute joints about the box's axes connect both links to the
+    reference, and the angles of two of them matter.
     """
-    context, names, signs = plant.CreateDefaultContext(), list[str](), list[float]()
+    context, shares = plant.CreateDefaultContext(), dict[str, float]()
     plant.SetPositions(context, np.zeros(plant.num_positions()))
-    by_ends = dict[frozenset[str], tuple[RevoluteJoint, str]]()
+    paths = _paths_from(plant, box.reference)
+    factors = box.ratio, 1.0  # ratio θ₁ + θ₂ = 0
+    for link, (frame, axis), factor in zip(box.links, box.axes, factors, strict=True):
+        scope, _, name = frame.rpartition("::")
+        where = plant.GetModelInstanceByName(scope)
+        if link not in paths or not plant.HasFrameNamed(name, where):
+            return None
+        R_WA = plant.GetFrameByName(name, where).CalcRotationMatrixInWorld(context)
+        axis_W = R_WA.multiply(axis / np.linalg.norm(axis))
+        for joint, sign in paths[link]:
+            if not isinstance(joint, RevoluteJoint):
+                return None
+            R_WF = joint.frame_on_parent().CalcRotationMatrixInWorld(context)
+            cosine = float(R_WF.multiply(joint.revolute_axis()) @ axis_W)
+            if not abs(cosine) > 1.0 - _SAME:
+                return None
+            own = scoped(joint)
+            shares[own] = shares.get(own, 0.0) + factor * sign * float(np.sign(cosine))
+    moving = [(own, share) for own, share in shares.items() if abs(share) > _SAME]
+    if len(moving) != 2:
+        return None
+    (leader, large), (follower, small) = sorted(moving, key=lambda each: -abs(each[1]))
+    return follower, Tie(leader, (0.0, -large / small))
+
+
+def _paths_from(plant: MultibodyPlant, start: str) -> dict[str, list[tuple[Joint, float]]]:
+    """Return scoped body name -> joints from a body to it, with −1 for those passed backwards."""
+    edges = defaultdict[str, list[tuple[str, Joint, float]]](list)
     for joint in joints_of(plant):
         bodies = joint.parent_body(), joint.child_body()
-        ends = [body.scoped_name().get_full() for body in bodies]
-        if isinstance(joint, RevoluteJoint):
-            by_ends[frozenset(ends)] = joint, ends[1]
-    for link, (frame, axis) in zip(box.links, box.axes, strict=True):
-        scope, _, name = frame.rpartition("::")
-        where, entry = (
-            plant.GetModelInstanceByName(scope),
-            by_ends.get(frozenset((box.reference, link))),
-        )
-        if entry is None or not plant.HasFrameNamed(name, where):
-            return None
-        joint, outer = entry
-        R_WF = joint.frame_on_parent().CalcRotationMatrixInWorld(context)
-        R_WA = plant.GetFrameByName(name, where).CalcRotationMatrixInWorld(context)
-        cosine = R_WF.multiply(joint.revolute_axis()) @ R_WA.multiply(axis / np.linalg.norm(axis))
-        if not abs(cosine) > 1.0 - _SAME:
-            return None
-        names.append(scoped(joint))
-        signs.append(float(np.sign(cosine)) * (1.0 if outer == link else -1.0))
-    ratio = -box.ratio * signs[0] * signs[1]
-    if abs(ratio) < 1.0:
-        return names[0], Tie(names[1], (0.0, 1.0 / ratio))
-    return names[1], Tie(names[0], (0.0, ratio))
+        one, two = (body.scoped_name().get_full() for body in bodies)
+        edges[one].append((two, joint, 1.0))
+        edges[two].append((one, joint, -1.0))
+    paths, waiting = {start: list[tuple[Joint, float]]()}, [start]
+    for body in waiting:
+        for other, joint, sign in edges[body]:
+            if other not in paths:
+                moves = [(joint, sign)] if joint.num_velocities() else []
+                paths[other] = [*paths[body], *moves]
+                waiting.append(other)
+    return paths
 
 
 _SLACK = 1e-9  # rad or m, tolerance of the limits of a fixed joint

@@ -242,6 +242,35 @@ def test_a_gearbox_has_a_joint_follow_another(tmp_path):
             assert "<joint> g of the type gearbox is ignored." in said
 
 
+ABOUT = """<joint name="g" type="gearbox"><parent>{}</parent><child>{}</child>
+<gearbox_reference_body>{}</gearbox_reference_body>{}<axis><xyz>0 1 0</xyz></axis>
+<axis2><xyz>0 1 0</xyz></axis2></joint>"""
+
+
+@pytest.mark.parametrize(
+    ("stated", "tie"),
+    [
+        # θ₁ = a and θ₂ = a + b: b = −(1 + ratio) a.
+        (("l1", "l2", "world", ""), ("r::b", "r::a", -2.0)),
+        (("l1", "l2", "base", "<gearbox_ratio>0.5</gearbox_ratio>"), ("r::b", "r::a", -1.5)),
+        # θ₁ = a + b and θ₂ = a: a = −ratio (a + b).
+        (("l2", "l1", "world", "<gearbox_ratio>-3</gearbox_ratio>"), ("r::a", "r::b", -1.5)),
+        # θ₁ = −a and θ₂ = b.
+        (("world", "l2", "l1", ""), ("r::b", "r::a", 1.0)),
+    ],
+)
+def test_a_gearbox_may_be_about_the_world_and_across_joints(tmp_path, stated, tie):
+    text = SDF.replace("<parent>world</parent>", "<parent>base</parent>")
+    base = """<link name="base"/><joint name="w" type="fixed"><parent>world</parent>
+    <child>base</child></joint>"""
+    model = load(tmp_path, text, model=base + ABOUT.format(*stated))
+    follower, leader, ratio = tie
+    assert not model.left_out and len(model.joints) == 1
+    ((own, other),) = model.followers.items()
+    assert own == follower and other[0] == leader
+    np.testing.assert_allclose(other[1], [0.0, ratio], atol=1e-15)
+
+
 MIMIC = """<plugin name="m" filename="libroboticsgroup_gazebo_mimic_joint_plugin.so">
 <joint>a</joint><mimicJoint>b</mimicJoint><multiplier>-2</multiplier><offset>0.1</offset></plugin>"""
 

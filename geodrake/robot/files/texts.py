@@ -57,6 +57,8 @@ from geodrake.robot.joints import Tie
 from geodrake.robot.stated import (
     CLOSING,
     CUT,
+    WORLD,
+    WORLD_LINK,
     Closure,
     CutJoint,
     FileTerms,
@@ -342,9 +344,15 @@ class ModelText(abc.ABC):
     def _take_gearbox(self, scope: str, joint: Element, model_frame: str = "__model__") -> None:
         """Read an SDF gearbox, by which two links turn at a constant ratio about a third one."""
         name = f"{place_of(joint, self.path)}: <joint> {joint.get('name')} of the type gearbox"
-        tags, ratio = ("gearbox_reference_body", "parent", "child"), number(joint, "gearbox_ratio")
+        ratio = 1.0 if joint.find("gearbox_ratio") is None else number(joint, "gearbox_ratio")
+        tags = "gearbox_reference_body", "parent", "child"
         ends = [joint.findtext(tag, "").strip() for tag in tags]
-        reference, *links = (f"{scope}::{end}" for end in ends)
+        known = {each for text in self.every() for each in text.links}
+        names = [f"{scope}::{end}" for end in ends]
+        reference, *links = (
+            WORLD_LINK if end == WORLD and name not in known else name
+            for end, name in zip(ends, names, strict=True)
+        )
         pose, axes = joint.find("pose"), list[tuple[str, Array]]()
         for tag in ("axis", "axis2"):
             axis, frame, turn = joint.find(f"{tag}/xyz"), ends[-1], np.eye(3)
@@ -356,9 +364,13 @@ class ModelText(abc.ABC):
                 frame, turn = pose.get("relative_to") or frame, rotation(sdf_pose(pose)[1])
             xyz = numbers((axis is not None and axis.text) or "0 0 1", 3)
             axes.append((f"{scope}::{frame}", turn @ xyz))
-        known = {each for text in self.every() for each in text.links}
         is_finite = all(np.isfinite(axis).all() and axis.any() for _, axis in axes)
-        if is_finite and np.isfinite(ratio) and ratio and known.issuperset([reference, *links]):
+        if (
+            is_finite
+            and np.isfinite(ratio)
+            and ratio
+            and known.union([WORLD_LINK]).issuperset([reference, *links])
+        ):
             box = Gearbox(name, reference, (links[0], links[1]), (axes[0], axes[1]), ratio)
             self.terms.gearboxes.append(box)
         else:
