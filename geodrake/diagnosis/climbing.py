@@ -59,14 +59,18 @@ def climb(
     return fit
 
 
-def can_gain(model: LogModel, fit: Fit, effects: Collection[Effect]) -> bool:
+def can_gain(
+    model: LogModel, fit: Fit, effects: Collection[Effect], *, optimistic: bool = False
+) -> bool:
     """Return whether any of some effects is in a more probable neighbour of an explanation."""
-    shares = model.shares(fit)
+    if not effects:
+        return False
+    shares = np.maximum(model.shares(fit), _OPTIMISTIC if optimistic else 0.0)
     fit = _refitted(model, fit, shares)
     moves = neighbours(model, fit, most=_ANY)
     choices = [each for each in moves if any(term.effect in effects for term in each.terms)]
     fits = model.ranked(choices[:_COUNTED], shares, fit.noise)[:_JUDGED]
-    gains = (gain_of(model, fit, each) for each in fits)
+    gains = (gain_of(model, fit, each, optimistic=optimistic) for each in fits)
     return any(gain is not None and gain[0] > 0.0 for gain in gains)
 
 

@@ -457,10 +457,9 @@ class Search:
         self._rebuild()
 
     def _climb_with_suggestions(self) -> bool:
-        """Climb with effects that the residual suggests; return whether there are any.
+        """Climb with effects that the residual suggests; return whether any of them may gain.
 
         The explanation may have imitated an episode, so that it is searched again with the episode.
-        Episodes are ignored if they gain nothing.
         """
         before = self.case, self.model, self.fit, [*self._effects], self._grid
         more = self._suggestions()
@@ -469,12 +468,12 @@ class Search:
         self._add_candidates(more)
         previous, delays = self.fit, self._delays_of_fit()
         episodes = [effect for effect in more if effect.role is Role.EPISODE]
+        others = [effect for effect in more if effect not in episodes]
         common = self.model.refitted(self._common)
-        helps = can_gain(self.model, previous, more) or can_gain(self.model, common, episodes)
-        if not helps and len(episodes) == len(more):
-            self.case, self.model, self.fit, self._effects, self._grid = before
-            return False
-        if not episodes:
+        if not any(can_gain(self.model, fit, episodes) for fit in (previous, common)):
+            if not can_gain(self.model, previous, others, optimistic=True):
+                self.case, self.model, self.fit, self._effects, self._grid = before
+                return False
             self._climb(optimistic=True)
             self._climb(optimistic=False)
             return True

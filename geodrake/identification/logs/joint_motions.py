@@ -82,18 +82,11 @@ class JointMotions:
         return x
 
     def with_slopes(self, servo: Array, free: Mask) -> tuple[Array, Array]:
-        """Return the residual (N,) and its slopes (N, f) with respect to the free parameters.
-
-        The latest slopes are cached.
-        """
-        key = servo.tobytes(), free.tobytes()
-        if key not in self._slopes:
-            count = len(free) if free[INTEGRAL:].any() else INTEGRAL
-            x, J = np.empty(len(self.measured)), np.zeros((len(self.measured), count))
-            calc_servo_motions(*self._whole, servo, (x, J))
-            self._slopes.clear()
-            self._slopes[key] = self._keep(key[0], x - self.measured), J[:, free[:count]]
-        return self._slopes[key]
+        """Return the residual (N,) and its slopes (N, f) with respect to the free parameters."""
+        count = len(free) if free[INTEGRAL:].any() else INTEGRAL
+        x, J = np.empty(len(self.measured)), np.zeros((len(self.measured), count))
+        calc_servo_motions(*self._whole, servo, (x, J))
+        return self._keep(servo.tobytes(), x - self.measured), J[:, free[:count]]
 
     def with_integral(self, servo: Array, integral: float) -> Array:
         """Return a servo with an integral whose initial effort matches the bodies on average."""
@@ -156,11 +149,6 @@ class JointMotions:
     @cached_property
     def _residuals(self) -> dict[bytes, Array]:
         """Residuals (N,) by the bytes of the servo's parameters."""
-        return {}
-
-    @cached_property
-    def _slopes(self) -> dict[tuple[bytes, bytes], tuple[Array, Array]]:
-        """Residual (N,) and slopes (N, f) by the bytes of parameters and of those that are free."""
         return {}
 
     def rms(self, servo: Array, rows: Mask | None = None) -> float:

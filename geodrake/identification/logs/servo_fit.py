@@ -348,7 +348,7 @@ class _Search:
         usual, spread = np.transpose([expected[at] for at in places])
         weights, delay_weight = 0.0 * spread, 0.0
         if not seen:  # on the scale of the residual
-            residuals, _ = motions.with_slopes(starts[0].numbers, starts[0].free)
+            residuals = motions.residual(starts[0].numbers)
             noise = np.sqrt(residuals @ residuals / WORTH)
             weights, delay_weight = noise / spread, noise / USUAL_DELAY * np.sqrt(2.0 / np.pi)
         upper, lower = np.full((2, size), np.inf)
