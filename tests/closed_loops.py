@@ -104,6 +104,41 @@ def leg():
     return mjcf(thigh, ends, "hip knee crank")
 
 
+LEG = {  # link -> its parent, its place there, and its inertia, as in `leg`
+    "hip": ("base", (0, 0, 1), (5, ".05 .01 -.1", ".05 .06 .02")),
+    "knee": ("hip", (0.1, 0, -0.3), (0.8, ".02 0 -.02", ".002 .003 .002")),
+    "shin": ("knee", (0.06, 0, -0.06), (0.6, ".1 0 -.2", ".01 .01 .001")),
+    "tarsus": ("shin", (0.25, 0, -0.35), (0.9, ".1 .01 .05", ".002 .01 .01")),
+    "heel": ("tarsus", (-0.04, 0.02, 0.05), (0.15, "-.01 0 0", "1e-4 1e-4 1e-4")),
+    "crank": ("tarsus", (0.06, 0.02, 0), (0.15, ".01 0 -.02", "1e-4 1e-4 1e-4")),
+    "plantar": ("crank", (0.03, 0.01, -0.05), (0.2, ".18 0 0", "1e-4 2e-3 2e-3")),
+    "foot": ("tarsus", (0.4, 0, 0.02), (0.3, ".02 0 -.03", "5e-4 8e-4 6e-4")),
+    "rod": ("hip", (0.03, 0.05, -0.25), (0.17, ".15 -.01 -.2", ".011 .012 .004")),
+}
+
+
+def leg_sdf(rod="ball"):
+    """Return `leg` as SDF without armature, whose rod has a joint of a kind at the thigh."""
+    places, links, joints = {"base": np.zeros(3)}, [], []
+    limit, stiff = "<limit><effort>9</effort></limit>", {"shin": 1500, "heel": 1250}
+    for name, (parent, place, inertial) in LEG.items():
+        places[name] = places[parent] + place
+        links.append((f"{name}_link", " ".join(map(str, places[name])), inertial))
+        terms = limit if name in ("hip", "knee", "crank") else ""
+        terms += dynamics(spring_stiffness=stiff[name]) if name in stiff else ""
+        terms += dynamics(damping=0.1) if name == "tarsus" else ""
+        ends = parent if parent == "base" else f"{parent}_link", f"{name}_link"
+        kind, axis = (rod, "1 0 0") if name == "rod" else ("revolute", "0 1 0")
+        joints.append((name, kind, ends, " ".join(map(str, place)), axis, terms))
+    pins = {"heel": ("rod", ".31 -.02 -.41"), "foot": ("plantar", ".35 0 .02")}
+    for child, (parent, place) in pins.items():
+        ends = f"{parent}_link", f"{child}_link"
+        joints.append((f"{child}_pin", "ball", ends, place, "", ""))
+    second = "<axis><xyz>1 0 0</xyz><dynamics><damping>.3</damping><friction>.2</friction>"
+    second += "</dynamics></axis><axis2><xyz>0 1 0</xyz><dynamics><damping>.4</damping></dynamics>"
+    return sdf(links, joints).replace("<axis><xyz>1 0 0</xyz></axis>", f"{second}</axis2>")
+
+
 @dataclass
 class Constrained:
     """MuJoCo's model of a text, with its constraints as equations.

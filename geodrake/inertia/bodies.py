@@ -20,6 +20,9 @@ from geodrake.errors import ArgumentError, ModelError
 BASE_FRAMES = "base_coordinates_of_"
 """Prefix of model instances with massless frames between the joints of a free base."""
 
+HINGE_FRAMES = "hinges_of_"
+"""Prefix of model instances with massless frames between the hinges of one joint."""
+
 
 @dataclass(frozen=True)
 class Member:
@@ -85,9 +88,13 @@ def lumped_bodies(plant: MultibodyPlant) -> tuple[LumpedBody, ...]:
     return tuple(sorted(lumps, key=lambda body: int(body.body_index)))
 
 
-def is_base_frame(plant: MultibodyPlant, body: RigidBody) -> bool:
-    """Return whether a body is a massless frame between the joints of a free base."""
-    return plant.GetModelInstanceName(body.model_instance()).startswith(BASE_FRAMES)
+def is_frame(
+    plant: MultibodyPlant,
+    body: RigidBody,
+    kinds: tuple[str, ...] = (BASE_FRAMES, HINGE_FRAMES),
+) -> bool:
+    """Return whether a body is a massless frame between joints."""
+    return plant.GetModelInstanceName(body.model_instance()).startswith(kinds)
 
 
 def body_names(plant: MultibodyPlant) -> tuple[str, ...]:
@@ -115,7 +122,7 @@ def _representatives(plant: MultibodyPlant) -> list[tuple[RigidBody, list[RigidB
         for body in neighbours[int(queue.popleft().index())]:
             if int(body.index()) not in seen:
                 group = list(plant.GetBodiesWeldedTo(body))
-                if not is_base_frame(plant, body):
+                if not is_frame(plant, body):
                     groups.append((body, group))
                 seen.update(int(member.index()) for member in group)
                 queue.extend(group)

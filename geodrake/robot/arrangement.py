@@ -6,20 +6,23 @@ velocities, like any joints. Yaw and roll are singular at a pitch of ±90°.
 
 Joints in SDF may form loops. Joints with an effort limit, which counts as a motor, and those close
 to the base stay in the tree; of the others, the last ones close the loops and are removed.
+Ball and universal joints in the loops become hinges, with massless frames between.
 """
 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
+    BallRpyJoint,
     BodyIndex,
     Joint,
     JointActuator,
@@ -27,6 +30,7 @@ from pydrake.multibody.tree import (
     RevoluteJoint,
     RigidBody,
     SpatialInertia,
+    UniversalJoint,
     WeldJoint,
 )
 from scipy.cluster.hierarchy import DisjointSet
@@ -34,7 +38,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import shortest_path
 
 from geodrake.errors import ModelError, nearest
-from geodrake.inertia.bodies import BASE_FRAMES, is_base_frame
+from geodrake.inertia import Array
+from geodrake.inertia.bodies import BASE_FRAMES, HINGE_FRAMES, is_frame
 from geodrake.robot.joints import Tie, joints_of, scoped
 from geodrake.robot.stated import CLOSING, Closure, CutJoint, Gearbox
 
@@ -75,24 +80,39 @@ def base_joints(plant: MultibodyPlant) -> tuple[tuple[Joint, ...], ...]:
     """Return the six joints of each free base of a plant, from the world to the root."""
     joints_of_base = defaultdict[int, list[Joint]](list)
     for joint in joints_of(plant):
-        frames = [b for b in (joint.parent_body(), joint.child_body()) if is_base_frame(plant, b)]
+        ends = joint.parent_body(), joint.child_body()
+        frames = [body for body in ends if is_frame(plant, body, (BASE_FRAMES,))]
         if frames:
             joints_of_base[int(frames[0].model_instance())].append(joint)
     return tuple(tuple(joints) for joints in joints_of_base.values())
 
 
-def open_loops(plant: MultibodyPlant) -> tuple[Closure, ...]:
-    """Remove joints that close loops from a plant before finalization."""
+class Opened(NamedTuple):
+    """Changes of a plant that open its loops."""
+
+    closures: tuple[Closure, ...] = ()
+    # Velocity `joint[k]` of a joint of several degrees of freedom -> its hinge, by scoped names.
+    hinges: Mapping[str, str] = {}
+    notes: tuple[str, ...] = ()  # on these hinges
+    left_out: tuple[str, ...] = ()  # on damping that they only approximate
+
+
+def open_loops(plant: MultibodyPlant) -> Opened:
+    """Remove joints that close loops from a plant before finalization.
+
+    Ball and universal joints within the loops are replaced by hinges.
+    """
     joints = joints_of(plant)
     if not _closing(plant, joints):
-        return ()
+        return Opened()
     actuators, far = _actuators(plant), _steps(plant, joints)
 
     def rank(joint: Joint) -> tuple[int, float]:
         """Return a sorting key: joints to keep in the tree come first."""
         driven = _is_driven(actuators.get(int(joint.index()), []))
         kind = {WeldJoint: 0, RevoluteJoint: 2 - driven, PrismaticJoint: 2 - driven}
-        return kind.get(type(joint), 3), sum(far[body] for body in ends_of(joint))
+        kind[UniversalJoint] = 3  # a ball joint may close a loop
+        return kind.get(type(joint), 4), sum(far[body] for body in ends_of(joint))
 
     ends = _closing(plant, sorted(joints, key=rank))
     ends.sort(key=lambda joint: int(joint.index()))
@@ -100,9 +120,61 @@ def open_loops(plant: MultibodyPlant) -> tuple[Closure, ...]:
     for joint in ends:
         name = joint.name() if counts[joint.name()] == 1 else scoped(joint).replace("::", "_")
         opened.append(_opened(joint, name, actuators.get(int(joint.index()), [])))
+    kept = [joint for joint in joints if joint not in ends]
+    several = dict[int, tuple[Joint, Array]]()  # by index, with the vector to the next joint
+    for closing in ends:
+        one, two = _names_of_ends(closing)
+        cycle = [closing, *(joint for joint, _ in _paths_from(kept, one)[two])]
+        for k, joint in enumerate(cycle[1:], start=1):
+            if isinstance(joint, BallRpyJoint | UniversalJoint):
+                beside = cycle[k - 1], cycle[(k + 1) % len(cycle)]
+                several.setdefault(int(joint.index()), (joint, _arm(joint, beside)))
     for joint in ends:
         _remove_joint(plant, joint)
-    return tuple(opened)
+    hinges, notes, left_out = dict[str, str](), list[str](), list[str]()
+    for joint, arm in several.values():
+        is_ball = isinstance(joint, BallRpyJoint)
+        what = f"{'ball' if is_ball else 'universal'} joint {joint.name()} of a closed loop"
+        if is_ball and joint.default_damping_vector().any():
+            left_out.append(f"The damping of {what} is that of each hinge, which is approximate.")
+        own = _split(plant, joint, arm)
+        names = ", ".join(name.rpartition("::")[2] for name in own.values())
+        notes.append(f"The {what} is read as the hinges {names}.")
+        hinges |= own
+    return Opened(tuple(opened), hinges, tuple(notes), tuple(left_out))
+
+
+def _arm(joint: Joint, beside: Sequence[Joint]) -> Array:
+    """Return the position of the joint beside another one on its child body, in its frame M."""
+    child, X_CM = joint.child_body().index(), joint.frame_on_child().GetFixedPoseInBodyFrame()
+    for other in beside:
+        for frame in (other.frame_on_parent(), other.frame_on_child()):
+            if frame.body().index() == child:
+                return (X_CM.inverse() @ frame.GetFixedPoseInBodyFrame()).translation()
+    return np.zeros(3)
+
+
+def _split(plant: MultibodyPlant, joint: Joint, arm: Array) -> dict[str, str]:
+    """Replace a joint by hinges, as in `Opened.hinges`; the last one of a ball is along `arm`."""
+    name, title, inner = joint.name(), scoped(joint), joint.frame_on_parent()
+    last, size = joint.frame_on_child(), float(np.linalg.norm(arm))
+    limits = zip(joint.position_lower_limits(), joint.position_upper_limits(), strict=True)
+    axes = [*np.eye(3)[:2]]
+    if isinstance(joint, BallRpyJoint):
+        along = arm / size if size > 0.0 else np.eye(3)[2]
+        axes = [*np.linalg.svd(along[None])[2][1:], along]
+    _remove_joint(plant, joint)
+    instance, hinges = plant.AddModelInstance(HINGE_FRAMES + title.replace("::", "_")), list[str]()
+    for axis, ends, suffix in zip(axes, limits, ("_1", "_2", "_spin"), strict=False):
+        outer = last
+        if len(hinges) < len(axes) - 1:
+            frame = plant.AddRigidBody(f"{name}{suffix}", instance, SpatialInertia.Zero())
+            outer = frame.body_frame()
+        hinge = plant.AddJoint(RevoluteJoint(f"{name}{suffix}", inner, outer, axis))
+        hinge.set_position_limits(*([end] for end in ends))
+        hinges.append(scoped(hinge))
+        inner = outer
+    return {f"{title}[{k}]": hinge for k, hinge in enumerate(hinges)}
 
 
 def _remove_joint(plant: MultibodyPlant, joint: Joint) -> None:
@@ -165,7 +237,7 @@ def _opened(joint: Joint, name: str, actuators: list[JointActuator]) -> Closure:
             "loop at another joint.",
         )
     slides, driven = isinstance(joint, PrismaticJoint), _is_driven(actuators)
-    one, two = (b.scoped_name().get_full() for b in (joint.parent_body(), joint.child_body()))
+    one, two = _names_of_ends(joint)
     cut = CutJoint(name, scoped(joint), np.array(axis), slides, driven)
     return Closure.by_joint(cut, kind, (one, two), (first, second))
 
@@ -178,7 +250,7 @@ def geared(plant: MultibodyPlant, box: Gearbox) -> tuple[str, Tie] | None:
     """
     context, shares = plant.CreateDefaultContext(), dict[str, float]()
     plant.SetPositions(context, np.zeros(plant.num_positions()))
-    paths = _paths_from(plant, box.reference)
+    paths = _paths_from(joints_of(plant), box.reference)
     factors = box.ratio, 1.0  # ratio θ₁ + θ₂ = 0
     for link, (frame, axis), factor in zip(box.links, box.axes, factors, strict=True):
         scope, _, name = frame.rpartition("::")
@@ -203,12 +275,16 @@ def geared(plant: MultibodyPlant, box: Gearbox) -> tuple[str, Tie] | None:
     return follower, Tie(leader, (0.0, -large / small))
 
 
-def _paths_from(plant: MultibodyPlant, start: str) -> dict[str, list[tuple[Joint, float]]]:
+def _names_of_ends(joint: Joint) -> list[str]:
+    """Return the scoped names of the bodies that a joint connects, the parent first."""
+    return [b.scoped_name().get_full() for b in (joint.parent_body(), joint.child_body())]
+
+
+def _paths_from(joints: Sequence[Joint], start: str) -> dict[str, list[tuple[Joint, float]]]:
     """Return scoped body name -> joints from a body to it, with −1 for those passed backwards."""
     edges = defaultdict[str, list[tuple[str, Joint, float]]](list)
-    for joint in joints_of(plant):
-        bodies = joint.parent_body(), joint.child_body()
-        one, two = (body.scoped_name().get_full() for body in bodies)
+    for joint in joints:
+        one, two = _names_of_ends(joint)
         edges[one].append((two, joint, 1.0))
         edges[two].append((one, joint, -1.0))
     paths, waiting = {start: list[tuple[Joint, float]]()}, [start]

@@ -15,7 +15,7 @@ from geodrake.boundary.showing import Short
 from geodrake.compiling import contiguous
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
-from geodrake.inertia.bodies import LumpedBody, is_base_frame, lumped_bodies
+from geodrake.inertia.bodies import LumpedBody, is_frame, lumped_bodies
 from geodrake.robot.coordinates import RobotCoordinates
 from geodrake.robot.joints import joint_motions, joints_of
 from geodrake.robot.recursion import Mobilizer, Samples, TreeRecords, records_of
@@ -166,7 +166,7 @@ def _edges(plant: MultibodyPlant, bodies: tuple[LumpedBody, ...]) -> Iterator[_E
         for body in plant.GetBodiesWeldedTo(plant.world_body())
     }
     all_bodies = (plant.get_body(BodyIndex(i)) for i in range(plant.num_bodies()))
-    frames = [body.index() for body in all_bodies if is_base_frame(plant, body)]
+    frames = [body.index() for body in all_bodies if is_frame(plant, body)]
     places |= {body: (_MASSLESS - at, RigidTransform()) for at, body in enumerate(frames)}
     for index, lump in enumerate(bodies):
         places.update({member.index: (index, member.X_RB) for member in lump.members})

@@ -26,6 +26,7 @@ from geodrake.inertia import PARAMETERS_PER_BODY, Array, inertial_parameters, to
 from geodrake.inertia.bodies import Member, lumped_bodies
 from geodrake.robot.arrangement import (
     Arrangement,
+    Opened,
     add_base_joints,
     base_joints,
     checked_held,
@@ -53,7 +54,7 @@ from geodrake.robot.joints import (
 )
 from geodrake.robot.loops import LoopJoints, Loops, closed_loops
 from geodrake.robot.repairs import Repair, repair_inertias
-from geodrake.robot.stated import Closure, CutJoint, FileTerms, StatedLength
+from geodrake.robot.stated import CutJoint, FileTerms, StatedLength
 from geodrake.robot.transmission.loop import LoopTransmission
 from geodrake.robot.transmission.schema import Gear
 
@@ -69,7 +70,7 @@ class BuiltPlant:
     plant: MultibodyPlant
     lengths: list[StatedLength]  # damping and reflected inertia of joints
     notes: tuple[str, ...]
-    opened: tuple[Closure, ...]  # joints that closed loops
+    opened: Opened
 
 
 @dataclass(frozen=True)
@@ -140,11 +141,22 @@ def load_plant(
         if phi is not None:
             _check_inertias(built.plant, phi, path)
     terms, plant = description.terms, built.plant
-    terms = replace(terms, lengths=[*built.lengths, *terms.lengths])
+    hinges = built.opened.hinges
+    lengths = [
+        replace(each, shares={hinges.get(joint, joint): c for joint, c in each.shares.items()})
+        for each in (*built.lengths, *terms.lengths)
+    ]
+    terms = replace(terms, lengths=lengths)
     ignored = _ignored_ties(description, arrangement)
     has_others = plant.num_constraints() or plant.num_force_elements() > 1  # besides gravity
     left_out = ["Constraints and springs that only Drake reads are ignored."] if has_others else []
-    left_out += [*terms.left_out, *(terms.of_bases if floating else ()), *ignored, *loops.left_out]
+    left_out += [
+        *built.opened.left_out,
+        *terms.left_out,
+        *(terms.of_bases if floating else ()),
+        *ignored,
+        *loops.left_out,
+    ]
     ties = {own: t for own, t in arrangement.followers.items() if own not in loops.taken}
     names = {scoped(joint): name for name, joint in _single_joints(plant).items()}
     pairs = ", ".join(f"{names[own]} follows {names[tie.leader]}" for own, tie in ties.items())
@@ -154,7 +166,7 @@ def load_plant(
     first_lines = [message.partition("\n")[0].rpartition("warning: ")[2] for message in messages]
     warnings = [f"Drake: {line}" for line in first_lines if "inertia" in line or "mass" in line]
     moving_cuts = {loop.joints[k] for loop in loops.loops for k in loop.cut}
-    cut_joints = (each.cut for each in [*terms.closures, *built.opened])
+    cut_joints = (each.cut for each in [*terms.closures, *built.opened.closures])
     closing = tuple(cut for cut in cut_joints if cut is not None and cut.name in moving_cuts)
     (text, *has_others), whole = description.texts, None
     if isinstance(text, MjcfText) and text.reference is not None and not has_others:
@@ -272,7 +284,7 @@ def _loops(
 ) -> Loops:
     """Return the closed loops of a plant of a description."""
     plant, terms = built.plant, description.terms
-    closures = [*terms.closures, *built.opened]
+    closures = [*terms.closures, *built.opened.closures]
     if not closures:
         return Loops()
     stiffness, single = dict[str, float](), {scoped(j): n for n, j in _single_joints(plant).items()}
@@ -287,7 +299,7 @@ def _loops(
     sprung = sorted((n for n, k in stiffness.items() if k > 0.0), key=lambda n: -stiffness[n])
     how = replace(how, followers=followers, driven=driven, sprung=sprung)
     loops = closed_loops(plant, closures, path=description.path, how=how)
-    if loops.left_out and built.opened:
+    if loops.left_out and built.opened.closures:
         raise ModelError(
             f"{description.path}: {loops.left_out[0]}",
             advice="Use loop joints that rotate about or slide along one axis.",
@@ -356,7 +368,7 @@ def _build(
             why += f", as <static> of {', '.join(sorted(terms.static))} says"
             advice = "Remove <static>, or give a model with moving joints."
         raise ModelError(f"No joint of {description.path} moves: {why}.", advice=advice)
-    return BuiltPlant(plant, lengths, tuple(notes), opened)
+    return BuiltPlant(plant, lengths, (*notes, *opened.notes), opened)
 
 
 def _write_inertias(description: ModelDescription, plant: MultibodyPlant, phi: ArrayLike) -> None:

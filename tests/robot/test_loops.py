@@ -14,6 +14,7 @@ from closed_loops import (
     four_bar_sdf,
     gripper,
     leg,
+    leg_sdf,
     sdf,
     underactuated,
 )
@@ -81,7 +82,12 @@ def assert_as_mujoco(model, constrained, motion, close=1e-10, share=1e-6):
 
 def test_a_leg_with_a_rod_between_balls_is_mujocos(tmp_path):
     """MuJoCo's has three hinges about the same axes in the place of the ball."""
-    model, rod = load(tmp_path, leg()), ("rod_1", "rod_2", "rod_spin")
+    assert_has_a_spinning_rod(load(tmp_path, leg()), leg())
+
+
+def assert_has_a_spinning_rod(model, text):
+    """Check that a model is a leg in MJCF with three hinges in the place of the ball of a rod."""
+    rod = "rod_1", "rod_2", "rod_spin"
     assert set(model.joints) == {"hip", "knee", "shin", "heel", "crank", "rod_spin"}
     assert any("rod_1, rod_2, rod_spin" in note for note in model.notes)
     axes = [model.plant.GetJointByName(name).revolute_axis() for name in rod]
@@ -90,7 +96,52 @@ def test_a_leg_with_a_rod_between_balls_is_mujocos(tmp_path):
         f'<joint name="{name}" axis="{" ".join(map(repr, axis.tolist()))}"/>'
         for name, axis in zip(rod, axes, strict=True)
     )
-    text = leg().replace('<joint name="rod" type="ball"/>', hinges)
+    text = text.replace('<joint name="rod" type="ball"/>', hinges)
+    assert_as_mujoco(model, Constrained.of(text, model.joints), states(model, spread=0.15))
+
+
+BARE_LEG = re.sub(' armature="[^"]*"', "", leg())
+
+
+def test_an_sdf_of_a_leg_with_a_rod_between_balls_is_its_twin(tmp_path):
+    (tmp_path / "robot.sdf").write_text(leg_sdf())
+    model = load_model(tmp_path / "robot.sdf")
+    assert not model.left_out
+    assert_has_a_spinning_rod(model, BARE_LEG)
+    assert check_dynamics(model).holds
+    motion = Motion(*states(model, spread=0.15))
+    save_model(model, tmp_path / "m.yaml")
+    again = load_model(tmp_path / "m.yaml")
+    np.testing.assert_allclose(again.effort(motion), model.effort(motion), rtol=1e-12)
+
+
+def test_damping_of_a_ball_of_an_sdf_in_a_loop_is_told(tmp_path):
+    damped = "<axis><xyz>0 0 1</xyz><dynamics><damping>.3</damping></dynamics></axis>"
+    parts = "<child>rod_link</child>", f"<child>rod_link</child>{damped}"
+    (tmp_path / "robot.sdf").write_text(leg_sdf().replace(*parts))
+    model = load_model(tmp_path / "robot.sdf")
+    words = "The damping of ball joint rod of a closed loop is that of each hinge"
+    assert words in " ".join(model.left_out)
+    rod = {f.effect.place for f in model.effects if f.effect.name == "viscous_friction"}
+    assert rod == {"tarsus", "rod_1", "rod_2", "rod_spin"}
+
+
+def test_an_sdf_of_a_leg_with_a_universal_joint_is_its_twin(tmp_path):
+    (tmp_path / "robot.sdf").write_text(leg_sdf("universal"))
+    model = load_model(tmp_path / "robot.sdf")
+    assert set(model.joints) == {"hip", "knee", "shin", "heel", "crank"} and not model.left_out
+    assert (
+        "The universal joint rod of a closed loop is read as the hinges rod_1, rod_2."
+        in model.notes
+    )
+    hinges = (
+        '<joint name="rod_1" axis="1 0 0" damping=".3"/>'
+        '<joint name="rod_2" axis="0 1 0" damping=".4"/>'
+    )
+    text = BARE_LEG.replace('<joint name="rod" type="ball"/>', hinges)
+    (dry,) = (f for f in model.effects if f.effect.name == "coulomb_friction")
+    assert (dry.effect.where, dry.parameters.tolist()) == (("rod_1",), [0.2])
+    model = replace(model, effects=tuple(f for f in model.effects if f is not dry))
     assert_as_mujoco(model, Constrained.of(text, model.joints), states(model, spread=0.15))
 
 
@@ -407,12 +458,6 @@ def test_the_joint_with_a_motor_leads(tmp_path, name):
 
 
 def test_a_loop_of_an_sdf_that_cannot_be_used_is_refused(tmp_path):
-    text = four_bar_sdf(("ball", "")).replace(
-        '<joint name="coupler" type="revolute">', '<joint name="coupler" type="ball">'
-    )
-    (tmp_path / "robot.sdf").write_text(text)
-    with pytest.raises(ModelError, match="coupler_link moves there by a joint of several degrees"):
-        load_model(tmp_path / "robot.sdf")
     axes = "<xyz>0 1 0</xyz></axis>", "<xyz>0 1 0</xyz></axis><axis2><xyz>1 0 0</xyz></axis2>"
     text = four_bar_sdf(("universal", "")).replace(*axes)
     (tmp_path / "robot.sdf").write_text(text)
