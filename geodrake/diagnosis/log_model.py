@@ -743,13 +743,10 @@ class LogModel:
         """Return the residuals (K_i,) of a joint in each stretch of its rows."""
         data, delay = self.dataset.data[joint], fit.choice.delay[joint]
         x, mixed = np.zeros(len(self._matrices[joint])), self._mixed[joint]
-        np.add.at(x, self.places[joint][fit.columns], fit.x)
-        weights, count = x[: len(mixed)] + mixed @ x[len(mixed) : len(mixed) + 2], len(data.columns)
-        used = np.flatnonzero(weights[:count])  # only a few columns
-        return [
-            rows.b[:, delay] - weights[used] @ rows.A.T[used] - rows.b @ weights[count:]
-            for rows in _rows(data)
-        ]
+        np.add.at(x, self.places[joint][fit.columns], -fit.x)
+        weights = x[: len(mixed)] + mixed @ x[len(mixed) : len(mixed) + 2]
+        weights[len(data.columns) + delay] += 1.0
+        return [rows.joined @ weights for rows in _rows(data)]
 
     def usual_gains(self, fit: Fit) -> dict[str, tuple[float, float]]:
         """Return errors of gains that explain most of the error that would remain at their joints.
