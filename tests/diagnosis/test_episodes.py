@@ -14,12 +14,15 @@ from scipy.special import expit
 from geodrake import load_model
 from geodrake.boundary.interrupts import StopSearch
 from geodrake.diagnosis import add, compare, explain
+from geodrake.diagnosis.contact_window import ResidualWindow, columns, refined, with_point
 from geodrake.diagnosis.search import Search
-from geodrake.effects import FittedEffect, TemporaryPayload
+from geodrake.effects import Contact, FittedEffect, TemporaryPayload
+from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.robot_motion import log_number
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import open_case
 from geodrake.inertia import from_mass_com_inertia
+from geodrake.logs.filtering import design_filter
 from geodrake.model import save_model
 from geodrake.model.export import export_model
 from geodrake.report import Units
@@ -113,6 +116,25 @@ class TestDiagnosis:
         again = assert_is_saved(found, tmp_path)
         as_it_stands = compare(again, [effort_log("double_pendulum", 5).log]).errors
         assert as_it_stands.nrms < 0.03  # and nothing of the pushes
+
+    def test_a_guess_of_times_and_point_is_refined(self):
+        """The residual is that of a force at a point, from 1.3 to 2.6 s, and much above noise."""
+        time, rng = np.arange(0.0, 4.0, 0.01), np.random.default_rng(0)
+        waves = rng.uniform(0.5, 2.0, 6) * time[:, None] + rng.uniform(0.0, 6.0, 6)
+        bodies = RobotBodies(ARM.tree, ARM.positions(np.sin(waves)), ARM.total_phi)
+        low_pass = design_filter(0.01, 8.0)
+        outputs = time[low_pass.output_indices(len(time))]
+        nothing = np.zeros((len(outputs), 6))
+        window = ResidualWindow(
+            1.0, 3.0, time, bodies, outputs, nothing, np.full(6, 0.01), low_pass
+        )
+        true = Contact("wrist_barrel", 1.3, 2.6, 0.06, x=0.05, y=-0.1, z=0.15)
+        efforts = columns(window, true) @ [3.0, -2.0, 1.0, 0.0, 0.0, 0.0]
+        window = dataclasses.replace(window, residual=efforts)
+        found = refined(window, with_point(window, Contact("wrist_barrel", 1.1, 2.8, 0.03)))
+        times = found.start, found.end, found.rise
+        assert times == pytest.approx((true.start, true.end, true.rise), abs=1e-4)
+        assert found.point == pytest.approx(true.point, abs=1e-3)
 
     def test_a_stop_while_contacts_are_tried_keeps_what_was_found(self, monkeypatch):
         push, climbed = pushed(2, POINT, np.array([2.0, 0.0, 0.0]), (5.0, 6.0)), []
