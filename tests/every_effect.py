@@ -11,7 +11,7 @@ from geodrake.effects.of_files import (
     PolynomialSpring,
     SquaredLoadFriction,
     Strut,
-    StrutCoupling,
+    Tendon,
 )
 
 EFFECTS = [
@@ -44,11 +44,13 @@ EFFECTS = [
     (Strut(("column", "wrist"), 0.1, 0.2, 0.3, 0.1, 0.0, 0.2), [30.0, -5.0, 2.0]),
     (Strut(("world", "wrist"), 0.5, 0.2, 1.3, 0.1, 0.0, 0.2), [30.0, -5.0, 2.0]),
     (
-        StrutCoupling(
-            ("world", "wrist", "column", "wrist"),
-            *(0.5, 0.2, 1.3, 0.1, 0.0, 0.2, 0.1, 0.2, 0.3, 0.1, 0.0, 0.2),
+        Tendon(
+            ("world", "wrist", "column", "column", "wrist", "world"),
+            (0.5, 0.2, 1.3, 0.1, 0, 0.2, 1, 0.1, 1, 0.1, 0, 0.3, 1, 0, 0, 0, 0, 0.2, 0)
+            + (0.1, 0.2, 0.3, 0.1, 0, 0.2, 0.5)
+            + 12 * (0,),
         ),
-        [30.0, 2.0],
+        [30.0, -3.0, 2.0],
     ),
     (BallSpring(("column", "wrist"), 0.5, 0.5, -0.5, 0.5), [3.0]),
     (BallSpring(("wrist", "world"), 0.8, 0.0, 0.6, 0.0), [3.0]),

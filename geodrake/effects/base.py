@@ -81,7 +81,7 @@ class Effect(CheckedFields, abc.ABC):
         signature: Description of the effect's trace in a residual.
         role: How it changes the efforts.
         places: Kind of place it is bound to: "joint", "joint_pair", "body", "body_pair",
-            "body_pairs", "bodies", "robot" or "log".
+            "body_path", "bodies", "robot" or "log".
         parameters: The linear parameters, in the order of the regressor's columns.
         shapes: Unit and usual values of its shape parameters.
         positive: Names of shape parameters that must be above 0.
@@ -219,6 +219,12 @@ class Effect(CheckedFields, abc.ABC):
         """Return the shape parameters by name: all fields except the place."""
         place = {"joint", "joints", "body", "bodies"}
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in place}  # type: ignore[arg-type]
+
+    @classmethod
+    def fields_of(cls, where: Sequence[str], shape: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the fields other than the place of an instance with a shape."""
+        del where
+        return dict(shape)
 
     @property
     def reported_shape(self) -> dict[str, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields
 from enum import Enum
 from typing import Any, NamedTuple
@@ -58,7 +58,7 @@ class Place(NamedTuple):
     """A kind of place that effects are bound to."""
 
     field: str  # field of the effect that names the place; empty if there is none
-    counts: tuple[int, ...]  # valid numbers of names
+    counts: Collection[int]  # valid numbers of names
     wanted: str  # requirement, for error messages
     words: str  # description
 
@@ -68,7 +68,7 @@ PLACES = {
     "joint_pair": Place("joints", (2,), "two joints", "joint pair"),
     "body": Place("body", (1,), "one body", "body"),
     "body_pair": Place("bodies", (2,), "two bodies", "body pair"),
-    "body_pairs": Place("bodies", (4,), "four bodies", "two body pairs"),
+    "body_path": Place("bodies", range(3, 1000), "three bodies or more", "bodies"),
     "bodies": Place("", (0,), "no place, as it is one of all bodies", "bodies"),
     "robot": Place("", (0,), "no place, as it is one of the whole robot", "robot"),
     "log": Place("joint", (0, 1), "one joint or none", "log, or joint"),

@@ -22,5 +22,5 @@ Rotor = effects.RotorInertia
 Spring = effects.JointSpring
 StaticFriction = effects.StribeckFriction
 StrutEffect = of_files.Strut
-StrutPair = of_files.StrutCoupling
+TendonPath = of_files.Tendon
 Tilt = effects.GravityTilt

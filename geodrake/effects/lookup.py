@@ -104,6 +104,7 @@ def make_effect(
     place = PLACES[cls.places]
     if isinstance(where, str) or len(where) not in place.counts:
         raise ArgumentError(f"{name} needs {place.wanted}; got {where!r}.")
+    shape = cls.fields_of(where, shape)
     known = [field for field in inspect.signature(cls).parameters if field != place.field]
     unknown = [key for key in shape if key not in known]
     if unknown:

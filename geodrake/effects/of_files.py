@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from geodrake.effects.base import (
     Array,
@@ -234,6 +233,7 @@ class MediumDrag(_FluidForces):
 
 
 _LEAST = 1e-15  # as in MuJoCo
+_WORST = 1e4  # of ways that cross themselves
 
 
 @dataclass(frozen=True)
@@ -446,79 +446,223 @@ class Strut(_FileEffect, _BodyPair):
 
     def rows(self, motion: RobotMotion) -> Rows:
         """Return columns of stiffness, preload and damping at the joints that move either body."""
+        bodies = motion.body_motions(self.name)
         points = [self.x, self.y, self.z], [self.other_x, self.other_y, self.other_z]
-        length, slope, dofs = _distance(motion, self.name, self.bodies, points)
-        rate = (slope * motion.v).sum(-1)
-        return {
-            motion.joints[dof]: slope[:, dof, None]
-            * np.stack([length, np.ones_like(length), rate], -1)
-            for dof in dofs
-        }
+        (p, J, first), (other_p, other_J, second) = (
+            _point(bodies, body, np.array(point))
+            for body, point in zip(self.bodies, points, strict=True)
+        )
+        length, along = _direction(other_p - p)
+        slope = (along[:, None, :] @ (other_J - J))[:, 0]
+        return _along(motion, length, slope, sorted({*first, *second}))
+
+
+PART = {
+    **dict.fromkeys(("ax", "ay", "az", "bx", "by", "bz"), "m"),  # A and B in their bodies
+    "weight": "1",  # share of the part's length in that of the tendon
+    "radius": "m",  # of a sphere or cylinder between A and B; 0 for none
+    "is_cylinder": "1",
+    **dict.fromkeys(("gx", "gy", "gz"), "m"),  # its center in its body
+    **dict.fromkeys(("gw", "gi", "gj", "gk"), "1"),  # quaternion of its axes
+    **dict.fromkeys(("sx", "sy", "sz"), "m"),  # point on the side of the tendon, in these axes
+}
+"""Numbers of a part of a `Tendon` -> unit."""
 
 
 @dataclass(frozen=True)
-class StrutCoupling(_FileEffect, Effect):
-    """Coupling of two parts of a tendon, between points P and Q and between points R and S.
+class Tendon(_FileEffect, Effect):
+    """Spring and damper along a tendon of parts, each between two points A and B.
 
-    With the distances L of P and Q, and M of R and S, effort = (k L + d L̇) ∂M/∂q + (k M + d Ṁ)
-    ∂L/∂q, from the energy k L M. A tendon of stiffness κ over parts of weights wᵢ has k = κ wᵢ wⱼ
-    for each pair, beside a `strut` for each part.
+    effort = (k L + p + d L̇) ∂L/∂q, with the length L = Σ wᵢ Lᵢ, stiffness k in N/m, preload
+    p = −k L₀ in N and damping d in N·s/m. Lᵢ is the distance of A and B, or the shortest way around
+    a sphere or an infinite cylinder between them, as in MuJoCo. With a point on its side, the way
+    does not cross the ray from the center away from that point.
     """
 
-    bodies: tuple[str, str, str, str]  # names of the bodies of P, Q, R and S, or "world"
-    # Positions in the frames of these bodies, m.
-    p_x: float = 0.0
-    p_y: float = 0.0
-    p_z: float = 0.0
-    q_x: float = 0.0
-    q_y: float = 0.0
-    q_z: float = 0.0
-    r_x: float = 0.0
-    r_y: float = 0.0
-    r_z: float = 0.0
-    s_x: float = 0.0
-    s_y: float = 0.0
-    s_z: float = 0.0
+    bodies: tuple[str, ...]  # of A, of B and of the sphere or cylinder, of each part; or "world"
+    numbers: tuple[float, ...]  # of `PART`, of each part
 
-    name = "strut_coupling"
-    places = "body_pairs"
-    law = "(k L + d L̇) ∂M/∂q + (k M + d Ṁ) ∂L/∂q, L and M distances of two points each"
+    name = "tendon"
+    places = "body_path"
+    law = "(k L + p + d L̇) ∂L/∂q, L the weighted length of several parts, perhaps around shapes"
     complexity = 3
-    shapes = tuple(Shape(f"{point}_{axis}", "m") for point in "pqrs" for axis in "xyz")
-    parameters = (Parameter("stiffness", "N/m"), Parameter("damping", "N·s/m"))
-    signature = "follows the posture at all joints between four bodies"
-    depends_on = frozenset({"q", "v", "bodies"})
+    parameters = Strut.parameters
+    signature = Strut.signature
+    depends_on = Strut.depends_on
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.bodies) % 3 or len(self.numbers) != len(self.bodies) // 3 * len(PART):
+            raise ArgumentError(
+                f"{self.name} needs 3 bodies and {len(PART)} numbers a part; it got "
+                f"{len(self.bodies)} and {len(self.numbers)}."
+            )
+
+    @property
+    def place(self) -> str:
+        """Return the bodies."""
+        return " & ".join(dict.fromkeys(body for body in self.bodies if body != _WORLD))
+
+    @property
+    def shape(self) -> dict[str, float]:
+        """Return the numbers other than 0 by name and part, such as `ax_0`."""
+        names = [f"{name}_{k}" for k in range(len(self.bodies) // 3) for name in PART]
+        return {name: x for name, x in zip(names, self.numbers, strict=True) if x}
+
+    @classmethod
+    def fields_of(cls, where: Sequence[str], shape: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the numbers of a shape as in `shape`."""
+        names = [f"{name}_{k}" for k in range(len(where) // 3) for name in PART]
+        if unknown := sorted(shape.keys() - {*names}):
+            raise ArgumentError(f"{cls.name} has no shape parameter {unknown[0]!r}.")
+        return {"numbers": tuple(float(shape.get(name, 0.0)) for name in names)}
+
+    @property
+    def reported_shape(self) -> dict[str, float]:
+        """Empty: the path is that of the file."""
+        return {}
 
     def rows(self, motion: RobotMotion) -> Rows:
-        """Return columns of stiffness and damping at the joints that move any of the bodies."""
-        points = np.array(list(self.shape.values())).reshape(2, 2, 3)
-        (L, first, some), (M, second, others) = (
-            _distance(motion, self.name, (self.bodies[k], self.bodies[k + 1]), points[k // 2])
-            for k in (0, 2)
+        """Return columns of stiffness, preload and damping at the joints that move the bodies."""
+        length, slope, moving = np.zeros(1), np.zeros((1, 1)), set[int]()
+        for k, numbers in enumerate(np.array(self.numbers).reshape(-1, len(PART))):
+            own, own_slope, dofs = self._part(motion, self.bodies[3 * k : 3 * k + 3], numbers)
+            weight = numbers[6]
+            length, slope = length + weight * own, slope + weight * own_slope
+            moving |= dofs
+        return _along(motion, length, slope, sorted(moving))
+
+    def _part(
+        self, motion: RobotMotion, names: Sequence[str], numbers: Array
+    ) -> tuple[Array, Array, set[int]]:
+        """Return the length (N,) of a part, its slopes (N, nv), and moving velocities."""
+        bodies, (radius, is_cylinder) = motion.body_motions(self.name), numbers[7:9]
+        (a, J_a, first), (b, J_b, second) = (
+            _point(bodies, body, point)
+            for body, point in zip(names, (numbers[:3], numbers[3:6]), strict=False)
         )
-        rates = ((slope * motion.v).sum(-1) for slope in (first, second))
-        pairs = [(L, M), tuple(rates)]
-        columns = [one[:, None] * second + other[:, None] * first for one, other in pairs]
-        return {
-            motion.joints[dof]: np.stack([column[:, dof] for column in columns], -1)
-            for dof in sorted({*some, *others})
-        }
+        length, along = _direction(b - a)
+        slope = (along[:, None, :] @ (J_b - J_a))[:, 0]
+        if not radius:
+            return length, slope, {*first, *second}
+        center, _, third = _point(bodies, names[2], numbers[9:12])
+        R = _turn(bodies, names[2])[0] @ rotation(numbers[12:16])
+        local = [(np.moveaxis(R, 1, 2) @ (x - center)[..., None])[..., 0] for x in (a, b)]
+        side = numbers[16:19] if numbers[16:19].any() else None
+        wraps, points, arc = wrapped(local[0], local[1], radius, side, is_cylinder=is_cylinder > 0)
+        at = [(R @ x[..., None])[..., 0] + center for x in points]
+        (to_arc, u), (from_arc, w) = _direction(at[0] - a), _direction(b - at[1])
+        J_0, J_1 = (_at_point(bodies, names[2], x) for x in at)
+        around = (u[:, None, :] @ (J_0 - J_a) + w[:, None, :] @ (J_b - J_1))[:, 0]
+        length = np.where(wraps, to_arc + arc + from_arc, length)
+        return length, np.where(wraps[:, None], around, slope), {*first, *second, *third}
 
 
-def _distance(
-    motion: RobotMotion, effect: str, names: tuple[str, str], points: Sequence[ArrayLike]
-) -> tuple[Array, Array, list[int]]:
-    """Return the distance (N,) of two bodies' points, its slopes (N, nv), and moving velocities."""
-    bodies = motion.body_motions(effect)
-    (p, J, first), (other_p, other_J, second) = (
-        _point(bodies, body, np.asarray(point, float))
-        for body, point in zip(names, points, strict=True)
-    )
-    separation = other_p - p
+def _along(motion: RobotMotion, length: Array, slope: Array, dofs: Sequence[int]) -> Rows:
+    """Return columns of stiffness, preload and damping along a length (N,)."""
+    rate = (slope * motion.v).sum(-1)
+    law = np.stack([length, np.ones_like(length), rate], -1)
+    return {motion.joints[dof]: slope[:, dof, None] * law for dof in dofs}
+
+
+def _direction(separation: Array) -> tuple[Array, Array]:
+    """Return lengths (N,) and unit vectors (N, 3)."""
     length = np.sqrt((separation * separation).sum(-1))
-    direction = separation / np.maximum(length, _LEAST_LENGTH)[:, None]
-    slope = (direction[:, None, :] @ (other_J - J))[:, 0]
-    return length, slope, sorted({*first, *second})
+    return length, separation / np.maximum(length, _LEAST_LENGTH)[:, None]
+
+
+def _at_point(bodies: RobotBodies, body: str, p_W: Array) -> Array:
+    """Return the Jacobian (N, 3, nv) of a body's points at positions (N, 3) in the world."""
+    if body == _WORLD:
+        return np.zeros((1, 3, bodies.tree.num_velocities))
+    motion = bodies.motion(body)
+    return motion.jacobian_along(p_W - motion.position)
+
+
+def wrapped(
+    a: Array, b: Array, radius: float, side: Array | None, *, is_cylinder: bool
+) -> tuple[Array, tuple[Array, Array], Array]:
+    """Return where the way from a to b (N, 3) leads around a sphere, or a cylinder along z.
+
+    Returns:
+        Whether it does (N,), where it begins and ends to touch (N, 3), and the length between.
+    """
+    if is_cylinder:
+        x, y = np.eye(3)[:2, None]
+    else:
+        x = _direction(a)[1]
+        y = _direction(_cross(_cross(a, b), a))[1]
+    ends = [np.stack([(p * x).sum(-1), (p * y).sum(-1)], -1) for p in (a, b)]
+    towards = None if side is None else np.stack([(side * x).sum(-1), (side * y).sum(-1)], -1)
+    wraps, points, arc = _around_circle(ends[0], ends[1], radius, towards)
+    flat = [p[:, :1] * x + p[:, 1:] * y for p in points]
+    if not is_cylinder:
+        return wraps, (flat[0], flat[1]), arc
+    up, height = np.eye(3)[2], b[:, 2] - a[:, 2]
+    first, last = (_direction(p - end)[0] for p, end in zip(points, ends, strict=True))
+    rise = height / np.maximum(first + arc + last, _LEAST_LENGTH)
+    heights = a[:, 2] + rise * first, a[:, 2] + rise * (first + arc)
+    low, high = (p + z[:, None] * up for p, z in zip(flat, heights, strict=True))
+    return wraps, (low, high), arc * np.sqrt(1.0 + rise * rise)
+
+
+def _around_circle(
+    a: Array, b: Array, radius: float, side: Array | None
+) -> tuple[Array, tuple[Array, Array], Array]:
+    """Return `wrapped` in a plane, for points (N, 2) and a circle about the origin."""
+    sizes = [np.sqrt((p * p).sum(-1)) for p in (a, b)]
+    step = b - a
+    square = np.maximum((step * step).sum(-1), _LEAST_LENGTH)
+    share = np.minimum(np.maximum(-(step * a).sum(-1) / square, 0.0), 1.0)
+    nearest = a + share[:, None] * step
+    passes = (nearest * nearest).sum(-1) <= radius**2
+    if side is not None:
+        passes = np.logical_or(passes, _leads_behind(a, b, side))
+    ways = []
+    for sign in (1.0, -1.0):
+        turns = [np.arccos(np.minimum(radius / np.maximum(size, _LEAST), 1.0)) for size in sizes]
+        first = np.arctan2(a[:, 1], a[:, 0]) + sign * turns[0]
+        last = np.arctan2(b[:, 1], b[:, 0]) - sign * turns[1]
+        p, q = (radius * np.stack([np.cos(x), np.sin(x)], -1) for x in (first, last))
+        crosses = _cross_over(a, p, b, q)
+        arc = np.remainder(sign * (last - first), 2.0 * np.pi)
+        good = -_direction(p - a)[0] - radius * arc - _direction(b - q)[0]
+        if side is not None:
+            opposite = np.arctan2(-side[:, 1], -side[:, 0])
+            behind = np.remainder(sign * (opposite - first), 2.0 * np.pi) < arc
+            for ends in ((a, p), (q, b)):
+                behind = np.logical_or(behind, _leads_behind(*ends, side))
+            good = np.where(behind, -_WORST, good)
+        ways.append((np.where(crosses, -_WORST, good), p, q, radius * arc, crosses))
+    (good, p, q, arc, crosses), others = ways
+    better = good > others[0]
+    p, q = (np.where(better[:, None], *each) for each in ((p, others[1]), (q, others[2])))
+    arc, crosses = np.where(better, arc, others[3]), np.where(better, crosses, others[4])
+    outside = np.logical_and(sizes[0] >= radius, sizes[1] >= radius)
+    wraps = np.logical_and(np.logical_and(passes, outside), np.logical_not(crosses))
+    return wraps, (p, q), arc
+
+
+def _leads_behind(a: Array, b: Array, side: Array) -> Any:
+    """Return whether the line from a to b (N, 2) crosses the ray from the origin against `side`."""
+    (aside, ahead), (other_aside, other_ahead) = (
+        (side[:, 0] * p[:, 1] - side[:, 1] * p[:, 0], (side * p).sum(-1)) for p in (a, b)
+    )
+    ahead_there = (other_ahead * aside - ahead * other_aside) * (aside - other_aside)
+    return np.logical_and(aside * other_aside < 0.0, ahead_there < 0.0)
+
+
+def _cross_over(a: Array, p: Array, b: Array, q: Array) -> Any:
+    """Return whether the lines from a to p and from b to q (N, 2) intersect."""
+    one, two, apart = p - a, q - b, a - b
+    determinant = two[:, 1] * one[:, 0] - two[:, 0] * one[:, 1]
+    size = np.where(np.abs(determinant) < _LEAST, 1.0, determinant)
+    along = (two[:, 0] * apart[:, 1] - two[:, 1] * apart[:, 0]) / size
+    other = (one[:, 0] * apart[:, 1] - one[:, 1] * apart[:, 0]) / size
+    inside = np.abs(determinant) >= _LEAST
+    for share in (along, other):
+        inside = np.logical_and(inside, np.logical_and(share >= 0.0, share <= 1.0))
+    return inside
 
 
 @dataclass(frozen=True)

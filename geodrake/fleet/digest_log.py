@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from geodrake.boundary.arguments import instance, instances, integer, number, typed
+from geodrake.boundary.input_files import sha256_of
 from geodrake.boundary.version import version
 from geodrake.effects import Effect
 from geodrake.errors import ArgumentError, DigestError, LogError
@@ -106,6 +107,9 @@ def said_of_reading(reading: Reading) -> dict[str, Any]:
         options.pop(name)
     if reading.usual_deviation == USUAL_GAIN_DEVIATION:  # missing in older folders
         options.pop("usual_deviation")
+    dbc = options.pop("dbc")
+    if dbc is not None:
+        options["dbc"] = sha256_of(dbc)
     if options["mapping"] is not None:
         options["mapping"].pop("source")
     return options

@@ -462,7 +462,7 @@ def _fitted_effect(
     effect = make_effect(saved.name, where, saved.shape, extra)
     joints = (*model.joints, *model.joints_behind)
     places = model.bodies if "bod" in effect.places else joints
-    places = (*places, "world") if effect.places.startswith("body_pair") else places
+    places = (*places, "world") if effect.places in ("body_pair", "body_path") else places
     _check_known(f"where of {saved.name}", where, places)
     count, what = len(effect.parameters), f"of {saved.name} at {effect.place}"
     return FittedEffect(

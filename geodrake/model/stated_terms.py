@@ -33,8 +33,9 @@ from geodrake.effects.file_terms import (
     Rotor,
     Spring,
     StrutEffect,
-    StrutPair,
+    TendonPath,
 )
+from geodrake.effects.of_files import PART
 from geodrake.inertia import Array, from_spatial_inertia
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.robot import stated
@@ -56,7 +57,7 @@ _WORDS: Mapping[type[Effect], str] = {
     CoupledDry: "dry friction of tendons",
     Carried: "carried weight",
     StrutEffect: "tendon",
-    StrutPair: "coupling of a tendon's parts",
+    TendonPath: "tendon of several parts",
     Ball: "spring of a ball joint",
     AddedMass: "added mass",
     Medium: "medium",
@@ -218,23 +219,33 @@ def _add_tendon(
     tendon: stated.StatedTendon,
     places: Mapping[str, tuple[str, RigidTransform]],
 ) -> None:
-    """Add the parts of a tendon whose length varies, and their couplings."""
-    if not places.keys() >= {link for part in tendon.parts for link in part.bodies}:
+    """Add a tendon with the parts whose length varies."""
+    links = {link for part in tendon.parts for link in part.bodies}
+    links |= {part.around.body for part in tendon.parts if part.around is not None}
+    if not places.keys() >= links:
         return  # of another robot
-    moving, rest = list[tuple[float, tuple[str, ...], list[float]]](), tendon.length
+    bodies, numbers, rest, moves = list[str](), list[float](), tendon.length, False
     for part in tendon.parts:
         ends = [places[link] for link in part.bodies]
         points = [X @ point for (_, X), point in zip(ends, part.points, strict=True)]
-        bodies = tuple(body for body, _ in ends)
-        if len(set(bodies)) > 1:
-            moving.append((part.weight, bodies, np.ravel(points).tolist()))
-        else:
+        names, shape = [body for body, _ in ends], [0.0] * (len(PART) - 7)
+        if (pulley := part.around) is not None:
+            body, X = places[pulley.body]
+            X_BG, kind = X @ pulley.X_BG, [pulley.radius, float(pulley.is_cylinder)]
+            turn = X_BG.rotation().ToQuaternion().wxyz()
+            names, shape = [*names, body], [*kind, *X_BG.translation(), *turn, *pulley.side]
+        if len(set(names)) == 1 and pulley is None:
             rest -= part.weight * float(np.linalg.norm(points[1] - points[0]))
-    laws = np.array([tendon.stiffness, -tendon.stiffness * rest, tendon.damping])
-    for weight, (one, two), at in moving:
-        effects.add(StrutEffect((one, two), *at), *(laws * [weight**2, weight, weight**2]))
-    for (weight, (a, b), at), (other, (c, d), there) in combinations(moving, 2):
-        effects.add(StrutPair((a, b, c, d), *at, *there), *(weight * other * laws[[0, 2]]))
+            continue
+        bodies += [*names, stated.WORLD][:3]
+        numbers += [*np.ravel(points).tolist(), part.weight, *map(float, shape)]
+        moves = moves or len(set(names)) > 1
+    k, p, d = tendon.stiffness, -tendon.stiffness * rest, tendon.damping
+    if len(bodies) == 3 and not any(numbers[7:]):
+        strut, weight = StrutEffect((bodies[0], bodies[1]), *numbers[:6]), numbers[6]
+        effects.add(strut, weight**2 * k, weight * p, weight**2 * d)
+    elif moves:
+        effects.add(TendonPath(tuple(bodies), tuple(numbers)), k, p, d)
 
 
 def _carriers(loaded: LoadedPlant, body: str) -> list[tuple[str, float]]:

@@ -163,17 +163,29 @@ class InMedium:
 
 
 @dataclass(frozen=True)
+class Pulley:
+    """A sphere, or an infinite cylinder along z, that a tendon may lead around."""
+
+    body: str  # scoped name
+    X_BG: RigidTransform  # pose in the body
+    radius: float
+    is_cylinder: bool
+    side: Array  # (3,) point on the side of the tendon, in G; zero if it takes the shorter way
+
+
+@dataclass(frozen=True)
 class TendonPart:
-    """A straight part of a tendon between two points."""
+    """A part of a tendon between two points."""
 
     bodies: tuple[str, str]  # scoped names of two bodies
     points: tuple[Array, Array]  # positions (3,) in their frames, m
     weight: float = 1.0  # share of its length in that of the tendon
+    around: Pulley | None = None
 
 
 @dataclass(frozen=True)
 class StatedTendon:
-    """A spring and a damper along a tendon of straight parts."""
+    """A spring and a damper along a tendon."""
 
     parts: tuple[TendonPart, ...]
     stiffness: float  # N/m

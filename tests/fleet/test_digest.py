@@ -549,8 +549,13 @@ def test_effects_of_a_users_own_have_columns(logged, tmp_path):
     assert digest_dataset(merged, SMALL, extra=(Wobble,)).effects
 
 
-def test_settings_say_what_those_of_older_folders_do():
+def test_settings_say_what_those_of_older_folders_do(tmp_path):
     """Other words would give every folder other options."""
     names = "mapping columns rate units gains skip_bad_rows topic gain_deviations kinds motors"
     assert said_of_reading(Reading()).keys() == {*names.split(), "of_base", "joints"}
     assert said_of_reading(Reading(usual_deviation=0.2))["usual_deviation"] == 0.2
+    dbc, digests = tmp_path / "a.dbc", set()
+    for words in ("one", "two"):
+        dbc.write_text(words)
+        digests.add(json.dumps(said_of_reading(Reading(dbc=dbc))["dbc"]))
+    assert len(digests) == 2

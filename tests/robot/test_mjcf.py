@@ -8,7 +8,7 @@ import pytest
 from mujoco_efforts import mujoco_efforts
 from pydrake.geometry import Box, Capsule, Mesh
 
-from geodrake import load_model
+from geodrake import load_model, save_model
 from geodrake.errors import ModelError
 from geodrake.logs.motion import Motion
 from geodrake.model import check_dynamics
@@ -218,6 +218,47 @@ def test_a_construct_is_taken_as_mujoco_means_it(tmp_path, what):
     assert not model.left_out and not model.repairs
 
 
+@pytest.mark.parametrize("kind", ["sphere", "cylinder"])
+@pytest.mark.parametrize("has_side", [False, True])
+def test_tendons_lead_around_geoms_as_in_mujoco(tmp_path, kind, has_side):
+    rng, straight, around = np.random.default_rng(0), 0, 0
+    sided, words = 'sidesite="side"' if has_side else "", '<site name="{}" pos="{} {} {}"/>'
+    for _ in range(8):
+        radius, start, end = rng.uniform(0.1, 0.2), *rng.uniform(-0.4, 0.4, (2, 3))
+        middle, side = 0.5 * (start + end + [0.1, 0.0, 0.2]), rng.normal(size=3)
+        side *= 1.5 * radius / np.linalg.norm(side)
+        turn = "{} {} {}".format(*rng.uniform(-90, 90, 3))
+        owner = (
+            f'<body name="g" pos="{"{} {} {}".format(*middle)}" euler="{turn}"><joint name="g" '
+            f'axis="1 0 0"/>{GEOM}<geom name="w" type="{kind}" size="{radius} .1" mass="0"/>'
+            f"{words.format('side', *side)}</body>"
+        )
+        text = mjcf(
+            words.format("s", *start) + owner + tip(geom=GEOM + words.format("u", *end)),
+            tail='<tendon><spatial stiffness="40" damping="3" springlength=".1"><site site="s"/>'
+            f'<geom geom="w" {sided}/><site site="u"/><pulley divisor="2"/><site site="u"/>'
+            '<site site="side"/></spatial></tendon>',
+        )
+        path = write(tmp_path, text)
+        model, theirs = load_model(path), mujoco.MjModel.from_xml_path(str(path))
+        assert not model.left_out and "tendon" in {f.effect.name for f in model.effects}
+        q, v, vd = rng.uniform(-1.5, 1.5, (3, 20, 3))
+        expected = mujoco_efforts(theirs, model.joints, q, v, vd)
+        found = model.effort(Motion(q, v, vd))
+        np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+        data = mujoco.MjData(theirs)
+        for each in q:
+            data.qpos[:] = [each[model.joints.index(theirs.joint(j).name)] for j in range(3)]
+            mujoco.mj_fwdPosition(theirs, data)
+            wraps = data.wrap_obj.ravel()[: int(data.ten_wrapnum[0])].max() >= 0
+            straight, around = straight + (not wraps), around + wraps
+    assert min(straight, around) > 20
+    save_model(model, tmp_path / "m.yaml")
+    again = load_model(tmp_path / "m.yaml")
+    np.testing.assert_array_equal(again.effort(Motion(q, v, vd)), found)
+    assert [f.effect for f in again.effects] == [f.effect for f in model.effects]
+
+
 def test_friction_of_a_tendon_of_two_joints_is_that_of_an_actuator(tmp_path):
     fixed = '<fixed name="p" frictionloss=".4"><joint joint="a" coef=".5"/>'
     tail = f'<tendon>{fixed}<joint joint="t" coef="{{}}"/></fixed></tendon>'
@@ -266,9 +307,9 @@ LEFT_OUT = {
     "Tendon p with stiffness 40, damping 2": (
         mjcf(
             tip(geom=GEOM + '<site name="u" pos="0 0 .1"/>'),
-            arm=GEOM + '<site name="s" pos="1 0 0"/><geom name="g" size=".02"/>',
+            arm=GEOM + '<site name="s" pos="1 0 0"/><geom name="g" size=".02"/><site name="in"/>',
             tail='<tendon><spatial name="p" stiffness="40" damping="2"><site site="s"/>'
-            '<geom geom="g"/><site site="u"/></spatial></tendon>',
+            '<geom geom="g" sidesite="in"/><site site="u"/></spatial></tendon>',
         ),
         zero(tendon_stiffness=0, tendon_damping=0),
     ),

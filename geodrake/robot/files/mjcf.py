@@ -55,6 +55,7 @@ from geodrake.robot.stated import (
     Closure,
     FileTerms,
     InMedium,
+    Pulley,
     Spring,
     StatedBall,
     StatedLength,
@@ -71,6 +72,7 @@ _KINDS = {
     "armature": "",
 }
 """Properties of joints, tendons and actuators -> flag that disables them."""
+_SIDES_SINCE = 4  # version of MuJoCo
 _FREE = 6  # velocities of a free joint
 _OF_BALLS = "damping", "frictionloss", "armature"
 
@@ -259,7 +261,7 @@ class MjcfTerms:
         )
 
     def _take_spatial(self, at: int, has: dict[str, Array], length: float | None) -> None:
-        """Read spring and damper of a tendon over sites and pulleys."""
+        """Read spring and damper of a tendon over sites, pulleys, spheres and cylinders."""
         parts = self._parts(at)
         if not parts or has["stiffness"][0] < 0.0:
             return
@@ -270,13 +272,18 @@ class MjcfTerms:
             self.found.tendons.append(tendon)
 
     def _parts(self, at: int) -> list[TendonPart]:
-        """Return the parts of a tendon over sites and pulleys; empty over anything else."""
+        """Return the parts of a spatial tendon; empty for others, and within geoms."""
         m, kinds, first = self.m, self.mujoco.mjtWrap, int(self.m.tendon_adr[at])
-        parts, weight, last = list[TendonPart](), 1.0, -1
+        parts, weight, last, around = list[TendonPart](), 1.0, -1, None
         for k in range(first, first + int(m.tendon_num[at])):
             kind, site = int(m.wrap_type[k]), int(m.wrap_objid[k])
             if kind == kinds.mjWRAP_PULLEY:
                 weight, last = 1.0 / float(m.wrap_prm[k]), -1
+                continue
+            if kind in (kinds.mjWRAP_SPHERE, kinds.mjWRAP_CYLINDER):
+                around = self._around(site, int(m.wrap_prm[k]))
+                if around is None:
+                    return []
                 continue
             if kind != kinds.mjWRAP_SITE:
                 return []
@@ -284,9 +291,25 @@ class MjcfTerms:
                 one, two = (int(m.site_bodyid[each]) for each in (last, site))
                 names = [self._body(body) if body else WORLD_LINK for body in (one, two)]
                 points = np.array(m.site_pos[last]), np.array(m.site_pos[site])
-                parts.append(TendonPart((names[0], names[1]), points, weight))
-            last = site
+                parts.append(TendonPart((names[0], names[1]), points, weight, around))
+            last, around = site, None
         return parts
+
+    def _around(self, geom: int, site: int) -> Pulley | None:
+        """Return the geom that a tendon leads around, on the side of a site if it is not −1.
+
+        Return None if the site is inside of the geom, or belongs to another body, and in versions
+        of MuJoCo before 4, which take other ways.
+        """
+        m, side, body = self.m, np.zeros(3), int(self.m.geom_bodyid[geom])
+        X, radius = pose_of(m.geom_pos[geom], m.geom_quat[geom]), float(m.geom_size[geom][0])
+        if site >= 0:
+            side = X.inverse() @ np.array(m.site_pos[site])
+            is_within = np.linalg.norm(side) < radius or int(m.site_bodyid[site]) != body
+            if is_within or int(self.mujoco.__version__.partition(".")[0]) < _SIDES_SINCE:
+                return None
+        is_cylinder = int(m.geom_type[geom]) == self.mujoco.mjtGeom.mjGEOM_CYLINDER
+        return Pulley(self._body(body) if body else WORLD_LINK, X, radius, is_cylinder, side)
 
     def _ignore_rest(
         self,
