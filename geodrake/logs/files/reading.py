@@ -17,6 +17,7 @@ import yaml  # type: ignore[import-untyped]
 
 from geodrake.boundary.arguments import (
     Array,
+    file_path,
     instance,
     instances,
     integer,
@@ -167,6 +168,8 @@ class Reading:
             positive(self.rate, "The sampling rate of a log, Hz,")
         number(self.usual_deviation, "effort_uncertainty", lower=0.0, upper=1.0)
         instances(self.topics, "topic", str)
+        if self.dbc is not None:
+            object.__setattr__(self, "dbc", file_path(self.dbc))
         if self.episode is not None:
             integer(self.episode, "episode", lower=0)
         for quantity, unit in self.units.items():
