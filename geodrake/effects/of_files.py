@@ -36,6 +36,47 @@ class _FileEffect:
 
 
 @dataclass(frozen=True)
+class _Numbered(_FileEffect, Effect):
+    """An effect whose shape is a list of numbers, which results do not report.
+
+    Its `shape` has those other than 0 by name.
+    """
+
+    numbers: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.numbers) != (count := len(self.names_of(self.where))):
+            raise ArgumentError(
+                f"{self.name} of {self.place} needs {count} numbers; it got {len(self.numbers)}."
+            )
+
+    @classmethod
+    @abc.abstractmethod
+    def names_of(cls, where: Sequence[str]) -> list[str]:
+        """Return the names of the numbers of an effect at a place."""
+
+    @property
+    def shape(self) -> dict[str, Any]:
+        """Return the numbers other than 0 by name."""
+        names = self.names_of(self.where)
+        return {name: x for name, x in zip(names, self.numbers, strict=True) if x}
+
+    @property
+    def reported_shape(self) -> dict[str, float]:
+        """Empty: the numbers are those of the file."""
+        return {}
+
+    @classmethod
+    def fields_of(cls, where: Sequence[str], shape: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the numbers for a shape as in `shape`."""
+        names = cls.names_of(where)
+        if unknown := sorted(shape.keys() - {*names}):
+            raise ArgumentError(f"{cls.name} has no shape parameter {unknown[0]!r}.")
+        return {"numbers": tuple(float(shape.get(name, 0.0)) for name in names)}
+
+
+@dataclass(frozen=True)
 class PolynomialSpring(_FileEffect, JointEffect):
     """Spring across a joint as defined by MuJoCo: effort = p + k₁ x + k₂ x² + k₃ x³, x = q − q_c.
 
@@ -233,7 +274,7 @@ class MediumDrag(_FluidForces):
 
 
 _LEAST = 1e-15  # as in MuJoCo
-_WORST = 1e4  # of ways that cross themselves
+_NEVER = 1e100  # m, length of a way on the wrong side
 
 
 @dataclass(frozen=True)
@@ -298,51 +339,26 @@ class EllipsoidDrag(_FluidForces):
 
 
 @dataclass(frozen=True)
-class AddedMass(_FileEffect, BodyEffect):
+class AddedMass(_Numbered, BodyEffect):
     """Inertia of the still fluid around a body, by Kirchhoff's equations.
 
     With the velocity v of Bo, ω and the matrix A in the body's frame, the fluid has the momentum
     [h; l] = s A [v; ω], and the body needs the force f = ḣ + ω × h and the moment
-    g = l̇ + ω × l + v × h about Bo. effort = J_Boᵀ f + J_ωᵀ g. Gravity does not act on it.
+    g = l̇ + ω × l + v × h about Bo. effort = J_Boᵀ f + J_ωᵀ g. Gravity does not act on it. The
+    numbers are the entries of A in the order of `ADDED_MASS`.
     """
-
-    xx: float = 0.0  # entries of A
-    xy: float = 0.0
-    xz: float = 0.0
-    xp: float = 0.0
-    xq: float = 0.0
-    xr: float = 0.0
-    yy: float = 0.0
-    yz: float = 0.0
-    yp: float = 0.0
-    yq: float = 0.0
-    yr: float = 0.0
-    zz: float = 0.0
-    zp: float = 0.0
-    zq: float = 0.0
-    zr: float = 0.0
-    pp: float = 0.0
-    pq: float = 0.0
-    pr: float = 0.0
-    qq: float = 0.0
-    qr: float = 0.0
-    rr: float = 0.0
 
     name = "added_mass"
     law = "s of the inertia that still fluid adds to a body, a matrix (6, 6)"
     complexity = 3
-    shapes = tuple(
-        Shape(name, ("kg", "kg·m", "kg·m²")[sum(letter in "pqr" for letter in name)])
-        for name in ADDED_MASS
-    )
     parameters = (Parameter("share", "1", lower=0.0),)
     signature = "grows with a body's acceleration and the square of its speed, without weight"
     depends_on = frozenset({"q", "v", "vd", "bodies"})
 
-    @property
-    def reported_shape(self) -> dict[str, float]:
-        """Empty: the matrix is that of the file."""
-        return {}
+    @classmethod
+    def names_of(cls, where: Sequence[str]) -> list[str]:
+        """Return the names of the entries of A."""
+        return [*ADDED_MASS]
 
     def rows(self, motion: RobotMotion) -> Rows:
         """Return the column of the share at the joints that move the body."""
@@ -353,7 +369,7 @@ class AddedMass(_FileEffect, BodyEffect):
         velocity = (J @ motion.v[..., None])[..., 0]
         v, w = velocity[:, :3], velocity[:, 3:]
         turning, a = bodies.acceleration(self.body, motion.v, motion.vd)
-        A = added_mass_matrix(getattr(self, name) for name in ADDED_MASS)
+        A = added_mass_matrix(self.numbers)
         momentum, rate = velocity @ A, np.concatenate([a - _cross(w, v), turning], axis=1) @ A
         h, angular_momentum = momentum[:, :3], momentum[:, 3:]
         carried = [_cross(w, h), _cross(w, angular_momentum) + _cross(v, h)]
@@ -470,7 +486,7 @@ PART = {
 
 
 @dataclass(frozen=True)
-class Tendon(_FileEffect, Effect):
+class Tendon(_Numbered):
     """Spring and damper along a tendon of parts, each between two points A and B.
 
     effort = (k L + p + d L̇) ∂L/∂q, with the length L = Σ wᵢ Lᵢ, stiffness k in N/m, preload
@@ -480,7 +496,6 @@ class Tendon(_FileEffect, Effect):
     """
 
     bodies: tuple[str, ...]  # of A, of B and of the sphere or cylinder, of each part; or "world"
-    numbers: tuple[float, ...]  # of `PART`, of each part
 
     name = "tendon"
     places = "body_path"
@@ -490,37 +505,15 @@ class Tendon(_FileEffect, Effect):
     signature = Strut.signature
     depends_on = Strut.depends_on
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if len(self.bodies) % 3 or len(self.numbers) != len(self.bodies) // 3 * len(PART):
-            raise ArgumentError(
-                f"{self.name} needs 3 bodies and {len(PART)} numbers a part; it got "
-                f"{len(self.bodies)} and {len(self.numbers)}."
-            )
-
     @property
     def place(self) -> str:
         """Return the bodies."""
         return " & ".join(dict.fromkeys(body for body in self.bodies if body != _WORLD))
 
-    @property
-    def shape(self) -> dict[str, float]:
-        """Return the numbers other than 0 by name and part, such as `ax_0`."""
-        names = [f"{name}_{k}" for k in range(len(self.bodies) // 3) for name in PART]
-        return {name: x for name, x in zip(names, self.numbers, strict=True) if x}
-
     @classmethod
-    def fields_of(cls, where: Sequence[str], shape: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the numbers of a shape as in `shape`."""
-        names = [f"{name}_{k}" for k in range(len(where) // 3) for name in PART]
-        if unknown := sorted(shape.keys() - {*names}):
-            raise ArgumentError(f"{cls.name} has no shape parameter {unknown[0]!r}.")
-        return {"numbers": tuple(float(shape.get(name, 0.0)) for name in names)}
-
-    @property
-    def reported_shape(self) -> dict[str, float]:
-        """Empty: the path is that of the file."""
-        return {}
+    def names_of(cls, where: Sequence[str]) -> list[str]:
+        """Return the names of the numbers by part, such as `ax_0`."""
+        return [f"{name}_{k}" for k in range(len(where) // 3) for name in PART]
 
     def rows(self, motion: RobotMotion) -> Rows:
         """Return columns of stiffness, preload and damping at the joints that move the bodies."""
@@ -624,23 +617,20 @@ def _around_circle(
         first = np.arctan2(a[:, 1], a[:, 0]) + sign * turns[0]
         last = np.arctan2(b[:, 1], b[:, 0]) - sign * turns[1]
         p, q = (radius * np.stack([np.cos(x), np.sin(x)], -1) for x in (first, last))
-        crosses = _cross_over(a, p, b, q)
         arc = np.remainder(sign * (last - first), 2.0 * np.pi)
-        good = -_direction(p - a)[0] - radius * arc - _direction(b - q)[0]
+        length = _direction(p - a)[0] + radius * arc + _direction(b - q)[0]
         if side is not None:
             opposite = np.arctan2(-side[:, 1], -side[:, 0])
             behind = np.remainder(sign * (opposite - first), 2.0 * np.pi) < arc
             for ends in ((a, p), (q, b)):
                 behind = np.logical_or(behind, _leads_behind(*ends, side))
-            good = np.where(behind, -_WORST, good)
-        ways.append((np.where(crosses, -_WORST, good), p, q, radius * arc, crosses))
-    (good, p, q, arc, crosses), others = ways
-    better = good > others[0]
-    p, q = (np.where(better[:, None], *each) for each in ((p, others[1]), (q, others[2])))
-    arc, crosses = np.where(better, arc, others[3]), np.where(better, crosses, others[4])
+            length = np.where(behind, _NEVER, length)
+        ways.append((length, p, q, radius * arc))
+    (length, p, q, arc), (other_length, other_p, other_q, other_arc) = ways
+    first_way = length < other_length
+    p, q = (np.where(first_way[:, None], *each) for each in ((p, other_p), (q, other_q)))
     outside = np.logical_and(sizes[0] >= radius, sizes[1] >= radius)
-    wraps = np.logical_and(np.logical_and(passes, outside), np.logical_not(crosses))
-    return wraps, (p, q), arc
+    return np.logical_and(passes, outside), (p, q), np.where(first_way, arc, other_arc)
 
 
 def _leads_behind(a: Array, b: Array, side: Array) -> Any:
@@ -650,19 +640,6 @@ def _leads_behind(a: Array, b: Array, side: Array) -> Any:
     )
     ahead_there = (other_ahead * aside - ahead * other_aside) * (aside - other_aside)
     return np.logical_and(aside * other_aside < 0.0, ahead_there < 0.0)
-
-
-def _cross_over(a: Array, p: Array, b: Array, q: Array) -> Any:
-    """Return whether the lines from a to p and from b to q (N, 2) intersect."""
-    one, two, apart = p - a, q - b, a - b
-    determinant = two[:, 1] * one[:, 0] - two[:, 0] * one[:, 1]
-    size = np.where(np.abs(determinant) < _LEAST, 1.0, determinant)
-    along = (two[:, 0] * apart[:, 1] - two[:, 1] * apart[:, 0]) / size
-    other = (one[:, 0] * apart[:, 1] - one[:, 1] * apart[:, 0]) / size
-    inside = np.abs(determinant) >= _LEAST
-    for share in (along, other):
-        inside = np.logical_and(inside, np.logical_and(share >= 0.0, share <= 1.0))
-    return inside
 
 
 @dataclass(frozen=True)

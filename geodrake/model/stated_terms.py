@@ -203,7 +203,7 @@ def _add_of_bodies(effects: StatedEffects, loaded: LoadedPlant) -> None:
         at_link[:3, 3:] = R @ [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
         inertias[body] += at_link.T @ inertia @ at_link
     for body in inertias.keys() - {stated.WORLD}:
-        effects.add(AddedMass(body, *inertias[body][np.triu_indices(6)].tolist()), 1.0)
+        effects.add(AddedMass(body, tuple(inertias[body][np.triu_indices(6)].tolist())), 1.0)
     for each in terms.in_medium:
         body, X = places.get(each.body, still)
         if body != stated.WORLD:
@@ -245,7 +245,7 @@ def _add_tendon(
         strut, weight = StrutEffect((bodies[0], bodies[1]), *numbers[:6]), numbers[6]
         effects.add(strut, weight**2 * k, weight * p, weight**2 * d)
     elif moves:
-        effects.add(TendonPath(tuple(bodies), tuple(numbers)), k, p, d)
+        effects.add(TendonPath(bodies=tuple(bodies), numbers=tuple(numbers)), k, p, d)
 
 
 def _carriers(loaded: LoadedPlant, body: str) -> list[tuple[str, float]]:
