@@ -215,11 +215,13 @@ class Writer:
         return f"<compiler{compiler}/><option{option}><flag {flags}/></option>"
 
     def couplings(self, names: list[str], sites: list[str]) -> str:
-        """Return tendons of joints and between two points, and motors."""
+        """Return tendons of joints and over several points, and motors."""
         text = ""
         if len(sites) > 1 and self.chance(0.5):
             rest = f'springlength="{self.numbers(1, 0)}"' if self.chance(0.6) else ""
-            ends = (f'<site site="{site}"/>' for site in self.rng.choice(sites, 2, replace=False))
+            count = int(self.rng.integers(2, min(len(sites), 4) + 1))
+            chosen = self.rng.choice(sites, count, replace=False)
+            ends = (f'<site site="{site}"/>' for site in chosen)
             text += (
                 f'<spatial stiffness="{self.numbers(1, 0, 60)}" damping="{self.numbers(1, 0, 3)}" '
                 f"{rest}>{''.join(ends)}</spatial>"
