@@ -110,8 +110,9 @@ def open_loops(plant: MultibodyPlant) -> Opened:
     def rank(joint: Joint) -> tuple[int, float]:
         """Return a sorting key: joints to keep in the tree come first."""
         driven = _is_driven(actuators.get(int(joint.index()), []))
-        kind = {WeldJoint: 0, RevoluteJoint: 2 - driven, PrismaticJoint: 2 - driven}
-        kind[UniversalJoint] = 3  # a ball joint may close a loop
+        single = 3 - 2 * driven
+        kind = {WeldJoint: 0, RevoluteJoint: single, PrismaticJoint: single}
+        kind[UniversalJoint] = 2  # as only the others may close a loop
         return kind.get(type(joint), 4), sum(far[body] for body in ends_of(joint))
 
     ends = _closing(plant, sorted(joints, key=rank))

@@ -457,10 +457,26 @@ def test_the_joint_with_a_motor_leads(tmp_path, name):
     assert load_model(tmp_path / "robot.sdf").joints == (name,)
 
 
+def with_universal_pin(text):
+    before, _, pin = text.partition('<joint name="pin" type="revolute">')
+    axes = "</axis>", "</axis><axis2><xyz>1 0 0</xyz></axis2>"
+    return f'{before}<joint name="pin" type="universal">{pin.replace(*axes)}'
+
+
+def test_a_universal_joint_stays_in_the_tree_and_another_one_closes_the_loop(tmp_path):
+    models = []
+    for text in (four_bar_sdf(), with_universal_pin(four_bar_sdf())):
+        (tmp_path / "robot.sdf").write_text(text)
+        models.append(load_model(tmp_path / "robot.sdf"))
+    plain, universal = models
+    assert plain.joints == universal.joints == ("crank",) and not universal.left_out
+    motion = Motion(*states(plain))
+    np.testing.assert_allclose(universal.effort(motion), plain.effort(motion), rtol=1e-9)
+
+
 def test_a_loop_of_an_sdf_that_cannot_be_used_is_refused(tmp_path):
-    axes = "<xyz>0 1 0</xyz></axis>", "<xyz>0 1 0</xyz></axis><axis2><xyz>1 0 0</xyz></axis2>"
-    text = four_bar_sdf(("universal", "")).replace(*axes)
-    (tmp_path / "robot.sdf").write_text(text)
+    limits = {"crank": 5.0, "coupler": 3.0, "rocker": 3.0}
+    (tmp_path / "robot.sdf").write_text(with_universal_pin(four_bar_sdf(limits=limits)))
     with pytest.raises(ModelError, match="Joint 'pin' of type universal closes a kinematic loop"):
         load_model(tmp_path / "robot.sdf")
 
