@@ -484,6 +484,8 @@ PART = {
 }
 """Numbers of a part of a `Tendon` -> unit."""
 
+_ENDS = "low", "high"  # lengths between which a tendon is slack, m; 0 for none
+
 
 @dataclass(frozen=True)
 class Tendon(_Numbered):
@@ -492,7 +494,8 @@ class Tendon(_Numbered):
     effort = (k L + p + d L̇) ∂L/∂q, with the length L = Σ wᵢ Lᵢ, stiffness k in N/m, preload
     p = −k L₀ in N and damping d in N·s/m. Lᵢ is the distance of A and B, or the shortest way around
     a sphere or an infinite cylinder between them, as in MuJoCo. With a point on its side, the way
-    does not cross the ray from the center away from that point.
+    does not cross the ray from the center away from that point. The spring of a slack tendon has
+    L − `high` above that, L − `low` below that, and 0 between in the place of L.
     """
 
     bodies: tuple[str, ...]  # of A, of B and of the sphere or cylinder, of each part; or "world"
@@ -512,17 +515,20 @@ class Tendon(_Numbered):
 
     @classmethod
     def names_of(cls, where: Sequence[str]) -> list[str]:
-        """Return the names of the numbers by part, such as `ax_0`."""
-        return [f"{name}_{k}" for k in range(len(where) // 3) for name in PART]
+        """Return the names of the numbers, such as `ax_0` of the first part."""
+        return [*_ENDS, *(f"{name}_{k}" for k in range(len(where) // 3) for name in PART)]
 
     def rows(self, motion: RobotMotion) -> Rows:
         """Return columns of stiffness, preload and damping at the joints that move the bodies."""
         length, slope, moving = np.zeros(1), np.zeros((1, 1)), set[int]()
-        for k, numbers in enumerate(np.array(self.numbers).reshape(-1, len(PART))):
+        low, high, *of_parts = self.numbers
+        for k, numbers in enumerate(np.array(of_parts).reshape(-1, len(PART))):
             own, own_slope, dofs = self._part(motion, self.bodies[3 * k : 3 * k + 3], numbers)
             weight = numbers[6]
             length, slope = length + weight * own, slope + weight * own_slope
             moving |= dofs
+        if high > low:
+            length = np.maximum(length - high, 0.0) + np.minimum(length - low, 0.0)
         return _along(motion, length, slope, sorted(moving))
 
     def _part(

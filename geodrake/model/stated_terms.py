@@ -240,12 +240,13 @@ def _add_tendon(
         bodies += [*names, stated.WORLD][:3]
         numbers += [*np.ravel(points).tolist(), part.weight, *map(float, shape)]
         moves = moves or len(set(names)) > 1
-    k, p, d = tendon.stiffness, -tendon.stiffness * rest, tendon.damping
-    if len(bodies) == 3 and not any(numbers[7:]):
+    slack, k, d = tendon.slack, tendon.stiffness, tendon.damping
+    p, band = (0.0, (rest, rest + slack)) if slack else (-k * rest, (0.0, 0.0))
+    if len(bodies) == 3 and not (slack or any(numbers[7:])):
         strut, weight = StrutEffect((bodies[0], bodies[1]), *numbers[:6]), numbers[6]
         effects.add(strut, weight**2 * k, weight * p, weight**2 * d)
     elif moves:
-        effects.add(TendonPath(bodies=tuple(bodies), numbers=tuple(numbers)), k, p, d)
+        effects.add(TendonPath(bodies=tuple(bodies), numbers=(*band, *numbers)), k, p, d)
 
 
 def _carriers(loaded: LoadedPlant, body: str) -> list[tuple[str, float]]:

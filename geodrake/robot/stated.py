@@ -191,6 +191,7 @@ class StatedTendon:
     stiffness: float  # N/m
     length: float  # at rest, m
     damping: float  # N·s/m
+    slack: float = 0.0  # m by which it may be longer without force
 
 
 @dataclass(frozen=True)

@@ -140,6 +140,15 @@ TAKEN = {
             '<site site="u"/></spatial></tendon>',
         )
     ),
+    "a rope that pulls alone, and one with a dead band over two parts": (
+        mjcf(
+            '<site name="w" pos=".1 .2 .9"/><site name="x" pos=".3 .2 .5"/>'
+            + tip(geom=GEOM + '<site name="u" pos="0 0 .1"/>'),
+            tail='<tendon><spatial stiffness="40" damping="3" springlength="0 .642"><site '
+            'site="w"/><site site="u"/></spatial><spatial stiffness="30" springlength=".78 .81">'
+            '<site site="w"/><site site="x"/><site site="u"/></spatial></tendon>',
+        )
+    ),
     "a medium around ellipsoids of each kind, and a body that counts as a box": (
         mjcf(
             tip(

@@ -229,7 +229,7 @@ class MjcfTerms:
             where = _rows_of("tendon", at)
             has = self._numbers(where)
             self._take_along(name, fixed_tendon(m, at), has, length)
-            self._take_spatial(at, has, length)
+            self._take_spatial(at, has, low, high)
             self._ignore_rest("tendon", at, has, where)
 
     def _take_along(
@@ -260,15 +260,14 @@ class MjcfTerms:
             name=name,
         )
 
-    def _take_spatial(self, at: int, has: dict[str, Array], length: float | None) -> None:
+    def _take_spatial(self, at: int, has: dict[str, Array], low: float, high: float) -> None:
         """Read spring and damper of a tendon over sites, pulleys, spheres and cylinders."""
         parts = self._parts(at)
         if not parts or has["stiffness"][0] < 0.0:
             return
-        (stiffness,) = [0.0] if length is None else _pop(has, "stiffness")
-        (damping,) = _pop(has, "damping")
+        (stiffness,), (damping,) = _pop(has, "stiffness"), _pop(has, "damping")
         if stiffness or damping:
-            tendon = StatedTendon(tuple(parts), stiffness, length or 0.0, damping)
+            tendon = StatedTendon(tuple(parts), stiffness, low, damping, high - low)
             self.found.tendons.append(tendon)
 
     def _parts(self, at: int) -> list[TendonPart]:
