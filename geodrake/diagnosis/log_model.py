@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dtrtrs
 
 from geodrake.compiling import contiguous
+from geodrake.diagnosis.base_unknowns import BaseUnknowns
 from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.normal_kernels import (
     RIDGE,
@@ -183,7 +184,10 @@ class LogModel:
         """Form the normal matrices over all columns: model, gains, reversals, terms."""
         data, nv = self.dataset, len(self.dataset.joints)
         self._reversals = [e for e in data.effects if isinstance(e, UnresolvedReversal)]
-        sources = [self.unknowns.columns, np.full(2 * nv + 1, -1)]
+        self._unsure = {effect.joint: self._unsure_column(effect) for effect in self._reversals}
+        blocks = self._blocks()
+        self._base = BaseUnknowns.of(self.unknowns, self._gram_of_bodies(blocks))
+        sources = [self.unknowns.columns[self._base.kept], np.full(2 * nv + 1, -1)]
         sources += [data.effect_columns(effect) for effect in self._reversals]
         self.first_term = sum(map(len, sources))
         self._first_reversal = len(sources[0]) + len(sources[1])
@@ -210,8 +214,6 @@ class LogModel:
             self.owner[at], self.positive[at[term.positive]] = k, True
         rates, unsure_delay = self._rates()
         places = self._places(columns, rates)  # in the rows of each joint
-        self._unsure = {effect.joint: self._unsure_column(effect) for effect in self._reversals}
-        blocks = self._blocks()
         self.joint_of = np.array([j for j, _, _ in blocks])
         self._reversing = {j: nv + k for k, j in enumerate(self.joint_of[nv:].tolist())}
         self.block_rows = np.array([max(rows, 1) for _, rows, _ in blocks], float)
@@ -227,7 +229,7 @@ class LogModel:
         # The columns before those of terms, which all fits share.
         first = self.places[:, : self.first_term].copy()
         self._common = calc_packed(self.grams, first, empty_packed(len(blocks)))
-        self.mean[: len(self.unknowns.columns)] = self.unknowns.mean
+        self.mean[: len(self._base.mean)] = self._base.mean
         gains = np.maximum(data.gain_uncertainty, 1e-6) ** -2.0
         unsure = [
             (self.beliefs.reversal * data.effort_std[data.joints.index(effect.joint)]) ** -2.0
@@ -256,6 +258,17 @@ class LogModel:
             block[n : n + 2, :n] = block[:n, n : n + 2].T
             block[n : n + 2, n : n + 2] = mixed.T @ block[:n, n : n + 2]
 
+    def _gram_of_bodies(self, blocks: Sequence[tuple[int, int, Array]]) -> Array:
+        """Return the normal matrix of the columns of bodies, relative to the efforts."""
+        data, columns = self.dataset, np.arange(self._bodies)
+        gram = np.zeros((self._bodies,) * 2)
+        for j, _, own_gram in blocks:
+            own = columns[data.data[j].local(columns) >= 0]
+            weight = 1.0 / (self.rows[j] * max(data.effort_std[j], 1e-12) ** 2)
+            gram[np.ix_(own, own)] += weight * own_gram[: len(own), : len(own)]
+        inertias = data.passive_shares(columns)  # depend on the same combinations
+        return np.asarray(gram + inertias.T @ inertias)
+
     @staticmethod
     def _only_joint(term: Term, places: Indices) -> int:
         """Return the only joint that a term affects; −1 for bodies, or if it affects several.
@@ -274,7 +287,7 @@ class LogModel:
         """
         felt = places >= 0
         groups = np.where(felt.sum(axis=0) == 1, felt.argmax(axis=0), -1)
-        groups[: len(self.unknowns.columns)] = -1
+        groups[: len(self._base.kept)] = -1
         for term, at in self.at.items():
             groups[at] = -1 if term.is_whole else self.only_joint[term]
         base = [self.model.joints.index(joint) for joint in self.model.base_joints]
@@ -286,7 +299,7 @@ class LogModel:
         Columns for errors of gains (by the loads) and of delays (by effort `rates` (K, nv)) follow
         a joint's own columns and efforts.
         """
-        p, nv, first = len(self.unknowns.columns), len(self.dataset.joints), self._bodies
+        p, nv, first = len(self._base.kept), len(self.dataset.joints), self._bodies
         loads = self.unknowns.mean[:first] if self.loads is None else self.loads.ravel()
         values = np.concatenate([loads, self.unknowns.mean[first:]])
         places, self._mixed, real = np.full((nv, len(columns)), -1), list[Array](), columns >= 0
@@ -407,7 +420,7 @@ class LogModel:
     @property
     def delay_errors(self) -> Indices:
         """Return the indices (nv + 1,) of delay errors in a fit: common, then each joint's."""
-        first, nv = len(self.unknowns.columns), len(self.dataset.joints)
+        first, nv = len(self._base.kept), len(self.dataset.joints)
         return np.arange(first + nv, first + 2 * nv + 1)
 
     def spans(self, terms: Terms) -> dict[Term, slice]:
@@ -417,14 +430,14 @@ class LogModel:
 
     def prior(self, choice: Choice) -> tuple[Array, float]:
         """Return the prior information Λ (n, n) of an explanation, and log |Λ| up to a constant."""
-        p, first, spans = len(self.unknowns.columns), self.first_term, self.spans(choice.terms)
+        base, first, spans = self._base, self.first_term, self.spans(choice.terms)
+        p, width = len(base.kept), choice.width / self._spread
         information = np.zeros((first + sum(len(term.columns) for term in spans),) * 2)
-        scale = np.ones(p)
-        scale[: self._bodies] = self._spread / choice.width
-        information[:p, :p] = self.unknowns.information * scale[:, None] * scale
+        scale = base.scales(width)
+        information[:p, :p] = base.information / scale[:, None] / scale
         nuisances = np.arange(p, first)
         information[nuisances, nuisances] = self._nuisances
-        logarithm = -2.0 * self._bodies * np.log(choice.width)
+        logarithm = base.log_volume - 2.0 * base.bodies * np.log(choice.width)
         for term, span in spans.items():
             information[span, span] = term.information
             logarithm += term.log_information
@@ -639,21 +652,28 @@ class LogModel:
         The Hessian is L Lᵀ with the `factor` L (n, n), in which parameters of `groups` (n,) come
         first.
         """
-        total, is_grouped = 0.0, np.append(groups >= 0, False)
+        total, width = 0.0, choice.width / self._spread
+        is_grouped, base = np.append(groups >= 0, False), self._base
         place = np.arange(len(is_grouped)) + is_grouped[::-1].cumsum()[::-1]  # shared ones
         for term, at in self.spans(choice.terms).items():
             if not (term.is_whole or term.effect is None):
                 continue
             # L⁻¹ is lower triangular, so that the last columns cost little.
-            span, first, mean, usual = at, place[at.start], x[at], term.mean
+            first, mean, usual = place[at.start], x[at], term.mean
+            body, rest = 0, np.zeros((0, len(mean)))
             if term.effect is None:
-                body = PARAMETERS_PER_BODY * self.dataset.bodies.index(term.where[0])
-                span = slice(body, body + PARAMETERS_PER_BODY)
-                first, mean, usual = place[body], mean + x[span], self.mean[span]
+                body = self.dataset.bodies.index(term.where[0])
+                span = slice(PARAMETERS_PER_BODY * body, PARAMETERS_PER_BODY * (body + 1))
+                own = base.all_of(x[: len(base.kept)], width)[span]
+                first, mean, usual = place[0], mean + own, self.unknowns.mean[span]
+                rest = base.rest_root(body, width)
             columns = np.zeros((len(x) - first, len(mean)))
-            for part in (at, span):
-                columns[place[part] - first] = np.eye(len(mean))
+            columns[place[at] - first] = np.eye(len(mean))
+            if term.effect is None:
+                slopes = base.slopes_of_body(body, width)
+                columns[place[: len(base.kept)] - first] += slopes.T
             root, _ = dtrtrs(factor[first:, first:], columns, lower=1)
+            root = np.concatenate([root, rest])
             scale = np.sqrt(np.square(root).sum(axis=0))
             correlations = (root / scale).T @ (root / scale) + 1e-9 * np.eye(len(scale))
             draws = _DRAWS @ np.linalg.cholesky(correlations).T
@@ -756,7 +776,7 @@ class LogModel:
         blocks, gains = self.normal(fit.columns, fit.choice.delay), dict[str, tuple[float, float]]()
         errors = self.sum_by_joint(fit.noise * self.block_rows)
         for j, joint in enumerate(self.dataset.joints):
-            at, x = len(self.unknowns.columns) + j, fit.x.copy()
+            at, x = len(self._base.kept) + j, fit.x.copy()
             x[at] = 0.0
             if self.sum_by_joint(calc_squares(blocks, x))[j] * _NOTABLE > errors[j]:
                 gains[joint] = float(fit.x[at]), float(self.dataset.gain_uncertainty[j])
@@ -764,7 +784,7 @@ class LogModel:
 
     def gain_moments(self, fit: Fit) -> Array:
         """Return the second moments (nv, nv) of the gains' errors in the posterior."""
-        first = len(self.unknowns.columns)
+        first = len(self._base.kept)
         at = np.arange(first, first + len(self.rows))
         factor, scale = scaled_cholesky(fit.hessian, RIDGE)
         covariance = solved(factor, np.eye(len(scale))[:, at])[at]
@@ -784,9 +804,14 @@ class LogModel:
         extended = np.concatenate([joined, joined @ self._mixed[joint], zeros], axis=-1)
         return extended[..., self.places[joint][fit.columns]], b[..., fit.choice.delay[joint]]
 
+    def _values(self, fit: Fit) -> Array:
+        """Return the most probable values (p,) of all unknowns of the model."""
+        x = fit.x[: len(self._base.kept)]
+        return self._base.all_of(x, fit.choice.width / self._spread)
+
     def bodies(self, fit: Fit) -> Array:
         """Return the bodies (nb, 10) of a fit, including wrong ones, without payloads."""
-        phi = fit.x[: self._bodies].reshape(-1, PARAMETERS_PER_BODY).copy()
+        phi = self._values(fit)[: self._bodies].reshape(-1, PARAMETERS_PER_BODY)
         for term in fit.terms:
             if term.effect is None:
                 phi[self.dataset.bodies.index(term.where[0])] += self.parameters(fit, term)
@@ -820,7 +845,7 @@ class LogModel:
             zero = np.zeros((len(effect.parameters),) * 2)
             unknowns = unknowns.with_effect(effect, data.effect_columns(effect), zero)
         x, p = np.zeros(len(unknowns.columns)), len(self.unknowns.columns)
-        x[:p] = fit.x[:p]
+        x[:p] = self._values(fit)
         x[: self._bodies] = self.bodies(fit).ravel()
         for term, span in self.spans(fit.terms).items():
             if term.effect is not None:
