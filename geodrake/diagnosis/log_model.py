@@ -28,6 +28,7 @@ from scipy.linalg.lapack import dtrtrs
 from geodrake.compiling import contiguous
 from geodrake.diagnosis.base_unknowns import BaseUnknowns
 from geodrake.diagnosis.beliefs import Beliefs
+from geodrake.diagnosis.block_solution import Prior, prior_distance, prior_matrix
 from geodrake.diagnosis.normal_kernels import (
     RIDGE,
     Normal,
@@ -118,7 +119,7 @@ class Fit:
     x: Array  # (n,) parameters
     noise: Array  # (B,) mean squared residuals of blocks of rows, (N·m)² or N²
     weights: Array  # (B,) w_k
-    hessian: Array  # (n, n) Λ + Σ_k w_k A_kᵀA_k
+    prior: Prior  # Λ and Λm
     score: float  # twice the log of evidence times prior odds, up to a constant
 
     @property
@@ -170,6 +171,7 @@ class LogModel:
             term: prices.setdefault((term.price, term.parts), len(prices)) for term in self.terms
         }
         self._odds = dict[tuple[int, ...], float]()
+        self._base_priors = dict[float, tuple[Array, Array]]()
         self._other_odds = dict[tuple[float, Delay], float]()
         self.widths = beliefs.widths if model.information is None else (1.0, 3.0)
         self.rows = dataset.rows.astype(float)
@@ -190,6 +192,7 @@ class LogModel:
         sources = [self.unknowns.columns[self._base.kept], np.full(2 * nv + 1, -1)]
         sources += [data.effect_columns(effect) for effect in self._reversals]
         self.first_term = sum(map(len, sources))
+        self._first_columns = np.arange(self.first_term)
         self._first_reversal = len(sources[0]) + len(sources[1])
         spans = self.spans(self.terms).items()
         self.at = {term: np.arange(span.start, span.stop) for term, span in spans}
@@ -203,14 +206,16 @@ class LogModel:
         self.distinct, self.same_as = np.sort(first), np.argsort(np.argsort(first))[which]
         # Priors of the terms: rows of Λ from a term's first column on, rows of Λm, and
         # log |Λ| − mᵀΛm at a term's first column.
-        widest = max((len(at) for at in self.at.values()), default=0)
+        widest = max((len(at) for at in self.at.values()), default=1)
         self.information, self.pull = np.zeros((len(columns), widest)), np.zeros(len(columns))
         self.prior_scores = np.zeros(len(columns))
+        self._offsets = np.zeros(len(columns), np.intp)  # from a term's first column
         self.owner, self.positive = np.full(len(columns), -1), np.zeros(len(columns), bool)
         for k, (term, at) in enumerate(self.at.items()):
             self.information[at, : len(at)] = term.information
             self.mean[at], self.pull[at] = term.mean, term.information @ term.mean
             self.prior_scores[at[0]] = term.log_information - term.prior_distance
+            self._offsets[at] = np.arange(len(at))
             self.owner[at], self.positive[at[term.positive]] = k, True
         rates, unsure_delay = self._rates()
         places = self._places(columns, rates)  # in the rows of each joint
@@ -236,7 +241,8 @@ class LogModel:
             for effect in self._reversals
             for _ in effect.parameters
         ]
-        self._nuisances = np.concatenate([gains, np.full(nv + 1, unsure_delay**-2.0), unsure])
+        nuisances = np.concatenate([gains, np.full(nv + 1, unsure_delay**-2.0), unsure])
+        self.information[len(self._base.mean) : self.first_term, 0] = nuisances
 
     def _store(self, blocks: Sequence[tuple[int, int, Array]]) -> None:
         """Store the normal matrices of blocks one after another.
@@ -362,25 +368,29 @@ class LogModel:
         turning = fit.weights[self._reversing.get(joint, joint)]
         return [np.where(turns, turning, fit.weights[joint]) for turns in self._turns[joint]]
 
+    def hessian(self, fit: Fit) -> Array:
+        """Return Λ + Σ_k w_k A_kᵀA_k (n, n) of a fit."""
+        return self._hessian(fit, fit.weights)
+
+    def _hessian(self, fit: Fit, weights: Array) -> Array:
+        packed = calc_packed(self.grams, self.places.take(fit.columns, axis=1), self._common)
+        hessian = prior_matrix(fit.prior)
+        add_normal(packed, weights, hessian)
+        return hessian
+
     def uniform_noise_hessian(self, fit: Fit) -> Array:
         """Return the Hessian (n, n) of a fit with the same noise in reversals as elsewhere."""
-        hessian = fit.hessian.copy()
-        packed = calc_packed(self.grams, self.places.take(fit.columns, axis=1), self._common)
-        add_normal(packed, fit.weights[self.joint_of] - fit.weights, hessian)
-        return hessian
+        return self._hessian(fit, fit.weights[self.joint_of])
 
     def with_sensor_noise(self, fit: Fit) -> Fit:
         """Return an explanation refitted with no more than sensor noise at each joint."""
         floor = np.maximum(np.square(self.dataset.noise_floor), self.floor)[self.joint_of]
         noise = np.minimum(fit.noise, floor)
         weights, (prior, _) = fit.weights * fit.noise / noise, self.prior(fit.choice)
-        packed, moments, _ = self.normal(fit.columns, fit.choice.delay)
-        hessian = prior.copy()
-        add_normal(packed, weights, hessian)
-        factor, scale = scaled_cholesky(hessian, RIDGE)
-        right = prior @ self.mean[fit.columns] + weights @ moments
-        x = scale * solved(factor, scale * right)
-        return replace(fit, x=x, noise=noise, weights=weights, hessian=hessian)
+        fit = replace(fit, noise=noise, weights=weights, prior=prior)
+        factor, scale = scaled_cholesky(self.hessian(fit), RIDGE)
+        right = prior[-1] + weights @ self.moments(fit.columns, fit.choice.delay)[0]
+        return replace(fit, x=scale * solved(factor, scale * right))
 
     def sum_by_joint(self, values: Array) -> Array:
         """Return the sums (nv,) of block values (B,) over the blocks of each joint."""
@@ -428,20 +438,23 @@ class LogModel:
         ends = np.cumsum([self.first_term, *(len(term.columns) for term in terms)]).tolist()
         return {t: slice(*ends) for t, ends in zip(terms, pairwise(ends), strict=True)}
 
-    def prior(self, choice: Choice) -> tuple[Array, float]:
-        """Return the prior information Λ (n, n) of an explanation, and log |Λ| up to a constant."""
-        base, first, spans = self._base, self.first_term, self.spans(choice.terms)
-        p, width = len(base.kept), choice.width / self._spread
-        information = np.zeros((first + sum(len(term.columns) for term in spans),) * 2)
-        scale = base.scales(width)
-        information[:p, :p] = base.information / scale[:, None] / scale
-        nuisances = np.arange(p, first)
-        information[nuisances, nuisances] = self._nuisances
-        logarithm = base.log_volume - 2.0 * base.bodies * np.log(choice.width)
-        for term, span in spans.items():
-            information[span, span] = term.information
-            logarithm += term.log_information
-        return information, float(logarithm)
+    def prior(self, choice: Choice) -> tuple[Prior, float]:
+        """Return the prior of an explanation, and log |Λ| up to a constant."""
+        columns, base, width = self.columns(choice), self._base, choice.width
+        if width not in self._base_priors:
+            scale = base.scales(width / self._spread)
+            information = base.information / scale[:, None] / scale
+            self._base_priors[width] = information, information @ base.mean
+        information, base_pull = self._base_priors[width]
+        first, pull = np.arange(len(columns)) - self._offsets[columns], self.pull[columns]
+        pull[: len(base_pull)] = base_pull
+        logarithm = base.log_volume - 2.0 * base.bodies * np.log(width)
+        logarithm += sum(term.log_information for term in choice.terms)
+        return (information, self.information[columns], first, pull), float(logarithm)
+
+    def columns(self, choice: Choice) -> Indices:
+        """Return the columns (n,) of an explanation."""
+        return np.concatenate([self._first_columns, *(self.at[term] for term in choice.terms)])
 
     @property
     def _spread(self) -> float:
@@ -527,10 +540,10 @@ class LogModel:
         """
         prior, logarithm = self.prior(choice)
         if is_timed:
-            prior[self.delay_errors, self.delay_errors] = _ON_TIME**-2.0
+            prior[1][self.delay_errors, 0] = _ON_TIME**-2.0
         spans = self.spans(choice.terms).items()
         bounded = [(s.start + t.positive, t.least) for t, s in spans if len(t.positive)]
-        free = np.ones(len(prior), bool)
+        free = np.ones(len(prior[-1]), bool)
         for _ in range(_MOST_PINNED):
             solution = self._solved(choice, shares, noise, (prior, logarithm))
             violated = [at[free[at] & (solution.x[at] <= least)] for at, least in bounded]
@@ -542,8 +555,11 @@ class LogModel:
                 return None  # a term has no free parameter left
             noise = solution.noise
             # Pin parameters of a term at zero, and compensate the evidence.
-            logarithm += float(np.log1p(_PINNED / prior[below, below]).sum())
-            prior[below, below] += _PINNED
+            columns = self.columns(choice)[below]
+            own = below, self._offsets[columns]
+            logarithm += float(np.log1p(_PINNED / prior[1][own]).sum())
+            prior[1][own] += _PINNED
+            prior[-1][below] += _PINNED * self.mean[columns]
         return None
 
     def lead(self, other: Fit, fit: Fit, shares: Array) -> float:
@@ -579,12 +595,10 @@ class LogModel:
         return max(fits, key=lambda fit: fit.score)
 
     def _solved(
-        self, choice: Choice, shares: Array, noise: Array | None, prior_terms: tuple[Array, float]
+        self, choice: Choice, shares: Array, noise: Array | None, known: tuple[Prior, float]
     ) -> Fit:
-        """Return the fit with a prior Λ (n, n) and log |Λ|, without bounds."""
-        prior, logarithm = prior_terms
-        indices = [self.at[term] for term in choice.terms]
-        columns, joint_of = np.concatenate([np.arange(self.first_term), *indices]), self.joint_of
+        """Return the fit with a known prior and log |Λ|, without bounds."""
+        (prior, logarithm), columns, joint_of = known, self.columns(choice), self.joint_of
         mean, inertias = self.mean[columns], self._inertias.take(columns, axis=1)
         blocks, samples = self.normal(columns, choice.delay), shares[joint_of] * self.block_rows
         if noise is None:
@@ -593,24 +607,23 @@ class LogModel:
         elif len(noise) != len(joint_of):  # the noise of another model
             noise = noise[: len(shares)][joint_of]
         noise_args = samples, self.block_rows, self.floor[joint_of]
-        priors, joints = (prior, prior @ mean), (inertias, joint_of, self._groups[columns])
+        joints = inertias, joint_of, self._groups[columns]
         try:
-            x, noise, rest = calc_most_probable(blocks, priors, noise_args, joints, noise)
+            x, noise, rest = calc_most_probable(blocks, prior, noise_args, joints, noise)
         except np.linalg.LinAlgError as error:
             raise singular_error() from error
-        weights, inertia, hessian, factor, determinant = rest
+        weights, inertia, factor, determinant = rest
         if not np.isfinite(determinant):
             raise singular_error()
-        deviation = x - mean
         score = (
             -float(samples @ np.log(noise / inertia**2))
-            - float(deviation @ prior @ deviation)
+            - prior_distance(prior, x - mean)
             - determinant
             + logarithm
             + self._physical(choice, x, factor, joints[-1])
             - self.odds_against(choice)
         )
-        return Fit(choice, columns, x, noise, weights, hessian, score)
+        return Fit(choice, columns, x, noise, weights, prior, score)
 
     def likely_priors(self, fit: Fit) -> tuple[float, dict[Effect, tuple[Array, Array]]]:
         """Return the width of the prior of bodies, and the prior of each payload.
@@ -649,12 +662,11 @@ class LogModel:
     def _physical(self, choice: Choice, x: Array, factor: Array, groups: Indices) -> float:
         """Return twice the log probability that payloads and wrong bodies are physical.
 
-        The Hessian is L Lᵀ with the `factor` L (n, n), in which parameters of `groups` (n,) come
-        first.
+        `factor` is the Cholesky factor (S, S) of the Hessian of shared parameters, those without
+        `groups` (n,), after the others are eliminated.
         """
         total, width = 0.0, choice.width / self._spread
-        is_grouped, base = np.append(groups >= 0, False), self._base
-        place = np.arange(len(is_grouped)) + is_grouped[::-1].cumsum()[::-1]  # shared ones
+        base, place = self._base, np.cumsum(groups < 0) - 1
         for term, at in self.spans(choice.terms).items():
             if not (term.is_whole or term.effect is None):
                 continue
@@ -665,13 +677,13 @@ class LogModel:
                 body = self.dataset.bodies.index(term.where[0])
                 span = slice(PARAMETERS_PER_BODY * body, PARAMETERS_PER_BODY * (body + 1))
                 own = base.all_of(x[: len(base.kept)], width)[span]
-                first, mean, usual = place[0], mean + own, self.unknowns.mean[span]
+                first, mean, usual = 0, mean + own, self.unknowns.mean[span]
                 rest = base.rest_root(body, width)
-            columns = np.zeros((len(x) - first, len(mean)))
+            columns = np.zeros((len(factor) - first, len(mean)))
             columns[place[at] - first] = np.eye(len(mean))
             if term.effect is None:
                 slopes = base.slopes_of_body(body, width)
-                columns[place[: len(base.kept)] - first] += slopes.T
+                columns[: len(base.kept)] += slopes.T
             root, _ = dtrtrs(factor[first:, first:], columns, lower=1)
             root = np.concatenate([root, rest])
             scale = np.sqrt(np.square(root).sum(axis=0))
@@ -786,7 +798,7 @@ class LogModel:
         """Return the second moments (nv, nv) of the gains' errors in the posterior."""
         first = len(self._base.kept)
         at = np.arange(first, first + len(self.rows))
-        factor, scale = scaled_cholesky(fit.hessian, RIDGE)
+        factor, scale = scaled_cholesky(self.hessian(fit), RIDGE)
         covariance = solved(factor, np.eye(len(scale))[:, at])[at]
         return covariance * scale[at, None] * scale[at] + np.outer(fit.x[at], fit.x[at])
 
@@ -872,7 +884,8 @@ class LogModel:
         # np.sum would need all products at once.
         gram = sum((own @ A for own, (A, _) in pairs), np.zeros(()))
         rhs = np.sum([(own @ b[..., None])[..., 0] for own, (_, b) in pairs], axis=0)
-        prior = fit.hessian @ fit.x - fit.weights @ self.moments(fit.columns, fit.choice.delay)[0]
+        moments, _ = self.moments(fit.columns, fit.choice.delay)
+        prior = self.hessian(fit) @ fit.x - fit.weights @ moments
         factor, scale = scaled_cholesky(self.uniform_noise_hessian(fit) - gram)
         rhs = prior + rhs.sum(axis=0) - rhs
         x = np.array([s * solved(L, s * b) for L, s, b in zip(factor, scale, rhs, strict=True)])

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotri, dtrtrs
 
+from geodrake.diagnosis.block_solution import prior_matrix
 from geodrake.diagnosis.log_model import Delay, Fit, LogModel
 from geodrake.diagnosis.normal_kernels import (
     Schur,
@@ -58,7 +59,7 @@ class Neighbourhood:
     def __init__(self, model: LogModel, fit: Fit) -> None:
         self._model, self.fit = model, fit
         # The transpose is in Fortran order; LAPACK writes its upper triangle.
-        factor, self._scale = scaled_cholesky(fit.hessian, ridge=0.0)
+        factor, self._scale = scaled_cholesky(model.hessian(fit), ridge=0.0)
         self._root, self.first_term = factor.T, model.first_term
         upper, _ = dpotri(self._root, lower=0)
         upper = np.triu(upper) + np.triu(upper, 1).T
@@ -115,7 +116,7 @@ class Neighbourhood:
         solved = np.linalg.solve(errors[model.delay_errors], errors.T)
         inverse, exact = self.inverse - errors @ solved, fit.x - fit.x[model.delay_errors] @ solved
         samples, sse = self._samples(), np.maximum(calc_squares((packed, now, power), exact), _TINY)
-        (prior, _), mean = model.prior(fit.choice), model.mean[columns]
+        prior, mean = prior_matrix(model.prior(fit.choice)[0]), model.mean[columns]
         best = list[tuple[Delay, float]]()
 
         def distances(x: Array) -> Array:

@@ -11,16 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.compiling import compiled, inlined
+from geodrake.diagnosis.block_solution import (
+    Packed,
+    Prior,
+    shared_prior,
+    solve_blocks,
+    structure_of,
+)
 from geodrake.identification.logs.dataset import LEAST_INERTIA
-from geodrake.identification.normal_equations import calc_solution
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 Grams = tuple[Array, Indices, Indices]
 """Entries of the normal matrices of all blocks, row by row; the first one and width of each."""
-Packed = tuple[Indices, Indices, Array]
-"""Columns of all blocks, ascending, the end of each block, and lower triangles, row by row."""
 Normal = tuple[Packed, Array, Array]
 """Packed normal matrices, with Aᵀb (J, n) and bᵀb (J,) of all blocks."""
 
@@ -128,36 +132,36 @@ def calc_squares(joints: Normal, x: Array) -> Array:
 @compiled
 def calc_most_probable(
     blocks: Normal,
-    prior: tuple[Array, Array],  # information (n, n), and its product with the mean (n,)
+    prior: Prior,
     noise: tuple[Array, Array, Array],  # (J,) independent samples, rows, least variance
-    # (J, n) `Dataset.passive_shares`; (J,) a block with no more noise, or the block itself;
-    # (n,) groups of `calc_solution`
+    # (J, n) `Dataset.passive_shares`; (J,) a block with no more noise and the same columns, or the
+    # block itself; (n,) the only such block that an unknown affects, or −1
     joints: tuple[Array, Indices, Indices],
     variance: Array,  # (J,) initial variances
-) -> tuple[Array, Array, tuple[Array, Array, Array, Array, float]]:
+) -> tuple[Array, Array, tuple[Array, Array, Array, float]]:
     """Return the parameters (n,), variances (J,), and the intermediate results.
 
-    These are weights (J,), inertias of joints without motors (J,), the normal matrix (n, n)
-    including the prior, its Cholesky factor with shared parameters last, and its log-determinant.
+    These are weights (J,), inertias of joints without motors (J,), the Cholesky factor (S, S) of
+    the normal matrix of shared unknowns without the others, and the log-determinant of all.
     """
-    (information, pull), (samples, rows, floor) = prior, noise
-    (inertias, quieter, groups), (packed, moments, _) = joints, blocks
-    n, count = len(pull), len(rows)
+    (samples, rows, floor), (inertias, quieter, groups) = noise, joints
+    (packed, moments, _), n, count = blocks, len(groups), len(rows)
     weights, inertia, passive = np.empty(count), np.ones(count), np.zeros(count, np.bool_)
     for j in range(count):
         for i in range(n):
             passive[j] |= inertias[j, i] != 0.0
-    x, logarithm, gram, factor = np.zeros(n), 0.0, information.copy(), information
+    structure, logarithm = structure_of(groups, quieter), 0.0
+    known, x = shared_prior(prior, structure), np.zeros(n)
+    factor = known
     for _ in range(_MOST_FITS):
-        gram, right = information.copy(), pull.copy()
+        factor, x = known.copy(), prior[3].copy()
         for j in range(count):
             weights[j] = samples[j] / rows[j] / max(variance[j], floor[j])
             for i in range(n):
-                right[i] += weights[j] * moments[j, i]
+                x[i] += weights[j] * moments[j, i]
                 if passive[j]:
-                    right[i] += samples[j] / inertia[j] * inertias[j, i]
-        add_normal(packed, weights, gram)
-        x, logarithm, factor = calc_solution(gram, right, RIDGE, groups)
+                    x[i] += samples[j] / inertia[j] * inertias[j, i]
+        logarithm = solve_blocks((packed, weights), prior, structure, (factor, x), RIDGE)
         squares, before, settled = calc_squares(blocks, x), variance, True
         variance = np.empty(count)
         for j in range(count):
@@ -171,7 +175,7 @@ def calc_most_probable(
             settled = settled and abs(np.log(variance[j] / before[j])) < _TOLERANCE
         if settled:
             break
-    return x, variance, (weights, inertia, gram, factor, logarithm)
+    return x, variance, (weights, inertia, factor, logarithm)
 
 
 @inlined

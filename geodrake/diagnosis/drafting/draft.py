@@ -302,7 +302,7 @@ def _gains(state: SearchResult, joint: str, terms: Sequence[FormulaTerm]) -> Arr
     A, b = (np.concatenate([getattr(block, name) for block in blocks]) for name in ("A", "b"))
     fitted, effort = model.row_columns(fit, j, A, b)
     at = next(e for e in joint_residuals(case, model.hypothesis(fit)) if e.joint == joint)
-    residual, covariance = effort - fitted @ fit.x, np.linalg.inv(fit.hessian)
+    residual, covariance = effort - fitted @ fit.x, np.linalg.inv(model.hessian(fit))
     weights = np.concatenate(model.row_weights(fit, j))
     motion, gains = full_motion(case), list[Array]()
     motions = [_seen(case, *each) for each in motion]
