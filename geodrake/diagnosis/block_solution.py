@@ -101,12 +101,12 @@ def solve_blocks(
     """
     ((columns, ends, lower), weights), (gram, x) = blocks, result
     (groups, places, order), group_ends, second = structure
-    count, widest, most = len(weights), 0, 0
+    count, widest = len(weights), 0
     starts, felt_counts = np.zeros(count + 1, np.intp), np.zeros(count, np.intp)
     for j in range(count):
-        width, own_count = ends[j + 1] - ends[j], group_ends[j + 1] - group_ends[j]
+        width = ends[j + 1] - ends[j]
         starts[j + 1] = starts[j] + width * (width + 1) // 2
-        widest, most = max(widest, width + own_count), max(most, own_count)
+        widest = max(widest, width + group_ends[j + 1] - group_ends[j])
     # Columns of the factor of each block's own unknowns; places of its shared unknowns.
     factors, felt = np.empty((group_ends[count], widest)), np.empty(len(columns), np.intp)
     matrix, part, slots = np.empty((widest, widest)), np.empty(widest), np.empty(widest, np.intp)
@@ -116,45 +116,51 @@ def solve_blocks(
         if second[j] == j:  # it is added with the first block of its columns
             continue
         own, mine = order[group_ends[j] : group_ends[j + 1]], columns[ends[j] : ends[j + 1]]
-        for i in range(len(mine)):
-            slots[i] = places[mine[i]]
-            if groups[mine[i]] < 0:
-                felt[ends[j] + felt_counts[j]] = places[mine[i]]
-                slots[i], felt_counts[j] = len(own) + felt_counts[j], felt_counts[j] + 1
-        size = len(own) + felt_counts[j]
+        at = _find_shared(mine, (groups, places), len(own), slots, felt[ends[j] :])
+        felt_counts[j], size = len(at), len(own) + len(at)
         _set_prior(prior, places, own, matrix[:size])
         for block in (j, second[j]):
             if block >= 0:
                 _add(lower[starts[block] : starts[block + 1]], weights[block], slots, matrix)
-        part[len(own) : size] = 0.0
+        part[:size] = 0.0
         for a in range(len(own)):
             part[a] = x[own[a]]
             matrix[a, a] *= 1.0 + ridge
-        at = felt[ends[j] : ends[j] + felt_counts[j]]
         for i in range(len(at)):
             diagonal[at[i]] += matrix[len(own) + i, len(own) + i]
         logarithm += _eliminate(matrix, part[:size], factors[group_ends[j] : group_ends[j + 1]])
-        for i in range(len(at)):
-            values[at[i]] += part[len(own) + i]
-            for k in range(i + 1):
-                gram[at[i], at[k]] += matrix[len(own) + i, len(own) + k]
-        for a in range(len(own)):
-            x[own[a]] = part[a]
+        x[own] = part[: len(own)]
+        _add_rest(matrix[len(own) : size, len(own) : size], part[len(own) :], at, (gram, values))
     for i in range(len(gram)):
         gram[i, i] += ridge * diagonal[i]
     logarithm += _solve_dense(gram, values)
-    for i in range(len(shared)):
-        x[shared[i]] = values[i]
+    x[shared] = values
     for j in range(count):
-        own = order[group_ends[j] : group_ends[j + 1]]
-        for a in range(len(own) - 1, -1, -1):
-            column, value = factors[group_ends[j] + a], x[own[a]]
-            for i in range(a + 1, len(own)):
-                value -= column[i] * x[own[i]]
-            for i in range(felt_counts[j]):
-                value -= column[len(own) + i] * values[felt[ends[j] + i]]
-            x[own[a]] = value / column[a]
+        own, at = order[group_ends[j] : group_ends[j + 1]], felt[ends[j] : ends[j] + felt_counts[j]]
+        _substitute_back(factors[group_ends[j] : group_ends[j + 1]], own, shared[at], x)
     return logarithm
+
+
+@inlined
+def _find_shared(
+    columns: Indices,
+    unknowns: tuple[Indices, Indices],
+    first: int,
+    slots: Indices,
+    felt: Indices,
+) -> Indices:
+    """Return the places of shared unknowns of a block, also in `felt`.
+
+    `slots` become the places of all its unknowns in its matrix, where the shared ones begin at
+    `first`.
+    """
+    (groups, places), count = unknowns, 0
+    for i in range(len(columns)):
+        slots[i] = places[columns[i]]
+        if groups[columns[i]] < 0:
+            felt[count], slots[i] = slots[i], first + count
+            count += 1
+    return felt[:count]
 
 
 @inlined
@@ -203,6 +209,28 @@ def _eliminate(matrix: Array, x: Array, factors: Array) -> float:
             for k in range(a + 1, i + 1):
                 row[k] -= column[i] * column[k]
     return logarithm
+
+
+@inlined
+def _add_rest(matrix: Array, part: Array, at: Indices, sums: tuple[Array, Array]) -> None:
+    """Add a lower triangle and right-hand side of shared unknowns to those of all, in place."""
+    gram, values = sums
+    for i in range(len(at)):
+        values[at[i]] += part[i]
+        for k in range(i + 1):
+            gram[at[i], at[k]] += matrix[i, k]
+
+
+@inlined
+def _substitute_back(factors: Array, own: Indices, shared: Indices, x: Array) -> None:
+    """Solve for the own unknowns of a block, given its shared ones, in place."""
+    for a in range(len(own) - 1, -1, -1):
+        column, value = factors[a], x[own[a]]
+        for i in range(a + 1, len(own)):
+            value -= column[i] * x[own[i]]
+        for i in range(len(shared)):
+            value -= column[len(own) + i] * x[shared[i]]
+        x[own[a]] = value / column[a]
 
 
 @inlined

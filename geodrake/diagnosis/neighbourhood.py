@@ -93,7 +93,7 @@ class Neighbourhood:
         scaled = self._scale[:, None] * self._cross
         rows, _ = dtrtrs(self._root, scaled, lower=0, trans=1)
         normal = model.grams, fit.weights, self._places
-        known = np.full((len(model.distinct),) * 2, np.nan)
+        known = np.zeros((len(model.distinct),) * 2)
         right = fit.weights @ moments - fit.x @ self._cross
         return (known, normal, rows.T), right[model.same_as] + model.pull
 

@@ -238,14 +238,14 @@ def calc_products(grams: Grams, weights: Array, places: tuple[Indices, Indices])
 
 
 Schur = tuple[Array, tuple[Grams, Array, Indices], Array]
-"""Schur complement (D, D) of distinct columns beside a fit, NaN where not computed yet; its normal
+"""Schur complement (D, D) of distinct columns beside a fit, zero where not computed yet; its normal
 matrices, weights (J,) and places (J, D); and rows (D, n), whose products are subtracted."""
 
 
 @inlined
 def _schur_complement(schur: Schur, a: int, b: int) -> float:
     known, ((entries, starts, widths), weights, places), rows = schur
-    if np.isnan(known[a, b]):
+    if known[a, b] == 0.0:
         total = 0.0
         for j in range(len(weights)):
             if places[j, a] >= 0 and places[j, b] >= 0:

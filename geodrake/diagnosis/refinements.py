@@ -127,7 +127,7 @@ def finer_shapes(
     They refine a grid, more finely at higher levels. If there are none, all levels are done.
     """
     near = list[Effect]()
-    while not near and level < LEVELS:
+    while effect.shapes and not near and level < LEVELS:
         near = [e for e in _finer(effect, grid, _STEPS[level]) if e not in tried]
         level += 1
     return near, level

@@ -108,7 +108,8 @@ class Search:
         self._loads_tried = dict[tuple[Names, float], Array]()
         self._last_step: FoundStep | None = None
         self.model = self._build_model()
-        self.fit = self._common = self._start()
+        self.fit = self._start()
+        self._common = self.fit, self._delays_of_fit()
 
     def run(self) -> SearchResult:
         """Search to the end."""
@@ -352,7 +353,7 @@ class Search:
         move little or one after the other; no single step leads back.
         """
         self._climb(optimistic=True, common=True)
-        self._common = self.fit
+        self._common = self.fit, self._delays_of_fit()
         self._climb(optimistic=True)
         self._climb(optimistic=False)
 
@@ -378,12 +379,16 @@ class Search:
 
     def _keep_more_probable(self, was: Fit, delays: Array) -> None:
         """Restore an earlier explanation with some delays (nv,), unless the new one is better."""
-        differences = np.abs(self.case.model.delays + self.case.dataset.delays - delays)
-        nearest = tuple(differences.argmin(axis=0).tolist())  # columns may have changed since
-        was = self.model.refitted(replace(was, choice=replace(was.choice, delay=nearest)))
+        was = self._refitted(was, delays)
         better = gain_of(self.model, was, self.fit)
         if better is None or better[0] <= 0.0:
             self.fit = was
+
+    def _refitted(self, was: Fit, delays: Array) -> Fit:
+        """Return an earlier explanation with some delays (nv,), fitted with these columns."""
+        differences = np.abs(self.case.model.delays + self.case.dataset.delays - delays)
+        nearest = tuple(differences.argmin(axis=0).tolist())
+        return self.model.refitted(replace(was, choice=replace(was.choice, delay=nearest)))
 
     def _needs_refinement(self, fit: Fit) -> bool:
         """Return whether a fit must be refined before anything else is tried, including its loads.
@@ -469,7 +474,7 @@ class Search:
         previous, delays = self.fit, self._delays_of_fit()
         episodes = [effect for effect in more if effect.role is Role.EPISODE]
         others = [effect for effect in more if effect not in episodes]
-        common = self.model.refitted(self._common)
+        common = self._refitted(*self._common)
         if not any(can_gain(self.model, fit, episodes) for fit in (previous, common)):
             if not can_gain(self.model, previous, others, optimistic=True):
                 self.case, self.model, self.fit, self._effects, self._grid = before
@@ -477,9 +482,10 @@ class Search:
             self._climb(optimistic=True)
             self._climb(optimistic=False)
             return True
-        self.fit = self._start()
+        self.fit = common
         try:
-            self._climb_by_common_first()
+            self._climb(optimistic=True)
+            self._climb(optimistic=False)
         finally:  # a stop keeps the best explanation so far
             self._keep_more_probable(previous, delays)
         return True

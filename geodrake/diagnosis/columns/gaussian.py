@@ -91,8 +91,7 @@ def most_probable(
     except np.linalg.LinAlgError as error:
         raise singular_error() from error
     deviation, zero = x - mean, np.zeros_like(x)
-    shared = np.full(len(x), -1)
-    prior_det, log_det = (calc_solution(A, zero, _RIDGE, shared)[1] for A in (bounds[0], H))
+    prior_det, log_det = (calc_solution(A, zero, _RIDGE)[1] for A in (bounds[0], H))
     score = prior_det - log_det - deviation @ information @ deviation
     return JointFit(x, mse, float(score))
 
@@ -238,7 +237,7 @@ def calc_bounded(
                     right[row] -= A[i, k] * x[k]
             for column in range(size):
                 inner[row, column] = A[i, free[column]]
-        minimum, settled = calc_solution(inner, right, _RIDGE, np.full(size, -1))[0], True
+        minimum, settled = calc_solution(inner, right, _RIDGE)[0], True
         for row in range(size):
             i = free[row]
             x[i] = min(max(minimum[row], lower[i]), upper[i])
