@@ -101,17 +101,15 @@ def solve_blocks(
     """
     ((columns, ends, lower), weights), (gram, x) = blocks, result
     (groups, places, order), group_ends, second = structure
-    count, widest = len(weights), 0
-    starts, felt_counts = np.zeros(count + 1, np.intp), np.zeros(count, np.intp)
-    for j in range(count):
-        width = ends[j + 1] - ends[j]
-        starts[j + 1] = starts[j] + width * (width + 1) // 2
-        widest = max(widest, width + group_ends[j + 1] - group_ends[j])
+    count, felt_counts = len(weights), np.zeros(len(weights), np.intp)
+    starts, widest = _sizes(ends, group_ends)
     # Columns of the factor of each block's own unknowns; places of its shared unknowns.
     factors, felt = np.empty((group_ends[count], widest)), np.empty(len(columns), np.intp)
     matrix, part, slots = np.empty((widest, widest)), np.empty(widest), np.empty(widest, np.intp)
-    shared, diagonal, logarithm = order[group_ends[count] :], np.diag(gram).copy(), 0.0
-    values = x[shared]
+    shared, logarithm = order[group_ends[count] :], 0.0
+    diagonal, values = np.empty(len(gram)), np.empty(len(gram))
+    for i in range(len(gram)):
+        diagonal[i], values[i] = gram[i, i], x[shared[i]]
     for j in range(count):
         if second[j] == j:  # it is added with the first block of its columns
             continue
@@ -122,23 +120,37 @@ def solve_blocks(
         for block in (j, second[j]):
             if block >= 0:
                 _add(lower[starts[block] : starts[block + 1]], weights[block], slots, matrix)
-        part[:size] = 0.0
-        for a in range(len(own)):
-            part[a] = x[own[a]]
-            matrix[a, a] *= 1.0 + ridge
-        for i in range(len(at)):
-            diagonal[at[i]] += matrix[len(own) + i, len(own) + i]
+        for i in range(size):
+            if i < len(own):
+                part[i] = x[own[i]]
+                matrix[i, i] *= 1.0 + ridge
+            else:
+                part[i] = 0.0
+                diagonal[at[i - len(own)]] += matrix[i, i]
         logarithm += _eliminate(matrix, part[:size], factors[group_ends[j] : group_ends[j + 1]])
-        x[own] = part[: len(own)]
+        for a in range(len(own)):
+            x[own[a]] = part[a]
         _add_rest(matrix[len(own) : size, len(own) : size], part[len(own) :], at, (gram, values))
     for i in range(len(gram)):
         gram[i, i] += ridge * diagonal[i]
     logarithm += _solve_dense(gram, values)
-    x[shared] = values
+    for i in range(len(gram)):
+        x[shared[i]] = values[i]
     for j in range(count):
         own, at = order[group_ends[j] : group_ends[j + 1]], felt[ends[j] : ends[j] + felt_counts[j]]
-        _substitute_back(factors[group_ends[j] : group_ends[j + 1]], own, shared[at], x)
+        _substitute_back(factors[group_ends[j] : group_ends[j + 1]], own, (at, values), x)
     return logarithm
+
+
+@inlined
+def _sizes(ends: Indices, group_ends: Indices) -> tuple[Indices, int]:
+    """Return the starts (J + 1,) of the packed triangles, and the most unknowns of a block."""
+    starts, widest = np.zeros(len(ends), np.intp), 0
+    for j in range(len(ends) - 1):
+        width = ends[j + 1] - ends[j]
+        starts[j + 1] = starts[j] + width * (width + 1) // 2
+        widest = max(widest, width + group_ends[j + 1] - group_ends[j])
+    return starts, widest
 
 
 @inlined
@@ -222,14 +234,15 @@ def _add_rest(matrix: Array, part: Array, at: Indices, sums: tuple[Array, Array]
 
 
 @inlined
-def _substitute_back(factors: Array, own: Indices, shared: Indices, x: Array) -> None:
+def _substitute_back(factors: Array, own: Indices, shared: tuple[Indices, Array], x: Array) -> None:
     """Solve for the own unknowns of a block, given its shared ones, in place."""
+    at, values = shared
     for a in range(len(own) - 1, -1, -1):
         column, value = factors[a], x[own[a]]
         for i in range(a + 1, len(own)):
             value -= column[i] * x[own[i]]
-        for i in range(len(shared)):
-            value -= column[len(own) + i] * x[shared[i]]
+        for i in range(len(at)):
+            value -= column[len(own) + i] * values[at[i]]
         x[own[a]] = value / column[a]
 
 
@@ -244,9 +257,11 @@ def _solve_dense(gram: Array, x: Array) -> float:
     for i in range(len(gram)):
         for k in range(i):
             gram[k, i] = gram[i, k]
-    gram[:] = np.linalg.cholesky(gram)
+    factor = np.linalg.cholesky(gram)
     for i in range(len(x)):
         row = gram[i]
+        for k in range(i + 1):
+            row[k] = factor[i, k]
         for k in range(i):
             x[i] -= row[k] * x[k]
         x[i] /= row[i]
@@ -256,4 +271,5 @@ def _solve_dense(gram: Array, x: Array) -> float:
         x[i] /= row[i]
         for k in range(i):
             x[k] -= row[k] * x[i]
+            gram[k, i] = 0.0
     return logarithm

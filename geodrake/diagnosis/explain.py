@@ -29,7 +29,7 @@ from geodrake.diagnosis.search import SearchResult, find_explanation
 from geodrake.diagnosis.search_progress import Progress
 from geodrake.diagnosis.steps import steps_of, vanished
 from geodrake.diagnosis.terms import Term
-from geodrake.diagnosis.turned_base import moved_base_notes
+from geodrake.diagnosis.turned_base import logs_apart_notes, moved_base_notes
 from geodrake.effects import Effect
 from geodrake.identification.logs.case import Case, error_table, open_case
 from geodrake.identification.logs.compare import comparison
@@ -133,8 +133,11 @@ def explained(
         all_notes += [*changed_notes(case.model, steps), *notes_of(result, case, fit, bodies)]
     all_notes += left_out_notes(findings, steps)
     gained = at_found_gains(result)
+    verdict = verdict_of(gained or after.errors, bool(steps), left=largest_residual(result))
+    if verdict == "unexplained":
+        all_notes += logs_apart_notes(result.case, result.model, result.fit)
     explanation = Explanation(
-        verdict_of(gained or after.errors, bool(steps), left=largest_residual(result)),
+        verdict,
         steps,
         before.errors,
         error_table(case.dataset, start.held_out),

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from geodrake.diagnosis.log_model import Fit, LogModel
 from geodrake.effects.base import Effect
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.identification.logs.case import Case
@@ -57,6 +58,45 @@ def moved_base_notes(case: Case) -> list[str]:
     return [
         f"these logs show gravity {angle:.0f}° away from the model's {fitted.effect.name}: "
         "if the base was moved, explain them with the model without that effect"
+    ]
+
+
+def logs_apart_notes(case: Case, model: LogModel, fit: Fit) -> list[str]:
+    """Return a note if gravity has other directions in some logs of a fit than in others.
+
+    It is due if a turn of gravity in each log takes away most of the squared errors.
+    """
+    turning, names = [*filter(_turns, case.dataset.effects)], [t.name for t in case.trajectories]
+    if len(names) < 2 or not turning or not _is_fixed(case):
+        return []
+    at, count = case.dataset.effect_columns(turning[0]), len(turning[0].parameters)
+    cross, total = np.zeros((len(fit.x), count * len(names))), 0.0
+    gram, pull = np.eye(cross.shape[1]), np.zeros(cross.shape[1])  # turns of some 1 rad
+    for j, data in enumerate(case.dataset.data):
+        local = data.local(at)
+        kept = max(sum(len(rows.b) for fold in data.rows for rows in fold), 1)
+        weight = fit.weights[j] * model.rows[j] / kept  # long logs keep only some rows
+        for fold, blocks in zip(case.folds, data.rows, strict=True):
+            for block, rows in zip(fold.blocks, blocks, strict=False):
+                columns, effort = model.row_columns(fit, j, rows.A, rows.b)
+                turns, left = rows.A[:, local] * (local >= 0), effort - columns @ fit.x
+                own = count * block.trajectory + np.arange(count)
+                cross[:, own] += weight * columns.T @ turns
+                gram[np.ix_(own, own)] += weight * turns.T @ turns
+                pull[own] += weight * turns.T @ left
+                total += weight * float(left @ left)
+    gram -= cross.T @ np.linalg.solve(model.hessian(fit), cross)
+    turns = np.linalg.solve(gram, pull)
+    if pull @ turns < _SHARE * total:
+        return []
+    each = turns.reshape(len(names), count)
+    pairs = [(np.linalg.norm(each[i] - each[k]), i, k) for k in range(len(each)) for i in range(k)]
+    angle, one, other = max(pairs)
+    if np.degrees(angle) < _LEAST_MOVED:
+        return []
+    return [
+        f"gravity is about {np.degrees(angle):.0f}° apart in {names[one]} and {names[other]}: "
+        "if the base was moved between them, explain them separately"
     ]
 
 

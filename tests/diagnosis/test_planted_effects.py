@@ -411,6 +411,18 @@ def test_a_base_that_was_moved_is_told(known, turn):
     assert not any("away from the model's gravity_tilt" in note for note in same)
 
 
+@pytest.mark.parametrize("turns", [(0.0, 0.1), (0.2, 0.2)])
+def test_a_base_that_was_moved_between_logs_is_told(turns):
+    logs = [mounted(turn, seed, PENDULUM) for seed, turn in enumerate(turns, 1)]
+    logs = [dataclasses.replace(log, name=f"log_{k}") for k, log in enumerate(logs)]
+    found = explain(model_file(PENDULUM), logs)
+    apart = [note for note in found.notes if note.startswith("gravity is about")]
+    if turns[0] == turns[1]:
+        assert found.verdict == "explained" and not apart
+    else:
+        assert "gravity is about 6° apart in log_1 and log_0" in apart[0]
+
+
 def test_a_far_turned_base_is_identified_as_its_efforts_say():
     """Near the ceiling, small turns about the other axis are large changes of the angles."""
     log = effort_log(ARM, 1, leaning(0.02, 3.0), duration=8.0, share=0.01).log
