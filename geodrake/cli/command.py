@@ -34,6 +34,7 @@ from geodrake.errors import ArgumentError, GeodrakeError, LogError, OutputError
 from geodrake.logs.files import Reading, check_log, file_names, parts_of, read_log
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.motion import JointLog
+from geodrake.model.base_motion import has_base
 from geodrake.model.carried_payloads import carried_phi
 from geodrake.model.logged_joints import holding_resting, model_of_logs, reading_for
 from geodrake.model.robot_model import RobotModel
@@ -338,7 +339,7 @@ def _with_columns(
     update("Checking the columns")
     settings = {key: given.settings[key] for key in ("bandwidth", "blocks")}
     columns = found_columns(given.model, given.logs, settings)
-    unchecked = unchecked_words(given.model)
+    unchecked = unchecked_words(given.model, given.logs)
     numbers = {
         "columns": [record("ColumnFinding", finding) for finding in columns],
         "columns_are_checked": not unchecked,
@@ -382,7 +383,7 @@ def found_columns(
     model: RobotModel, logs: Sequence[JointLog], settings: Mapping[str, Any]
 ) -> tuple[ColumnFinding, ...]:
     """Return mistakes in columns; none for logs that the command itself rejects."""
-    if model.base_joints:
+    if unchecked_words(model, logs):
         return ()
     try:
         return check_columns(model, logs, **settings)
@@ -390,11 +391,13 @@ def found_columns(
         return ()
 
 
-def unchecked_words(model: RobotModel) -> list[str]:
-    """Return why the columns were not checked: a floating base, or too many joints."""
+def unchecked_words(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
+    """Return why the columns were not checked: a free base, or too many joints."""
     count = len(model.joints)
     if model.base_joints:
         return ["Columns were not checked: the robot has a floating base."]
+    if any(has_base(log) for log in logs):
+        return ["Columns were not checked: the base is logged as free, but the model is fixed."]
     if count <= MOST_JOINTS:
         return []
     return [

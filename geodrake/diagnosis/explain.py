@@ -135,7 +135,9 @@ def explained(
     gained = at_found_gains(result)
     verdict = verdict_of(gained or after.errors, bool(steps), left=largest_residual(result))
     if verdict == "unexplained":
-        all_notes += logs_apart_notes(result.case, result.model, result.fit)
+        apart = logs_apart_notes(result.case, result.model, result.fit)
+        all_notes += apart
+        before, after = (replace(each, first=(*each.first, *apart)) for each in (before, after))
     explanation = Explanation(
         verdict,
         steps,

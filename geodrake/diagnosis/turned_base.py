@@ -86,10 +86,10 @@ def logs_apart_notes(case: Case, model: LogModel, fit: Fit) -> list[str]:
                 pull[own] += weight * turns.T @ left
                 total += weight * float(left @ left)
     gram -= cross.T @ np.linalg.solve(model.hessian(fit), cross)
-    turns = np.linalg.solve(gram, pull)
-    if pull @ turns < _SHARE * total:
+    found = np.linalg.solve(gram, pull)
+    if pull @ found < _SHARE * total:
         return []
-    each = turns.reshape(len(names), count)
+    each = found.reshape(len(names), count)
     pairs = [(np.linalg.norm(each[i] - each[k]), i, k) for k in range(len(each)) for i in range(k)]
     angle, one, other = max(pairs)
     if np.degrees(angle) < _LEAST_MOVED:

@@ -64,15 +64,22 @@ _RESTS, _SLIDES, _GLIDES = 0.42, 0.5, 0.7  # sliding of a foot over its displace
 _ADVICE = "Log base.position.x … and base.orientation.w …, or imu.angular_velocity.x … and so on."
 
 
+def has_base(log: JointLog) -> bool:
+    """Return whether a log has the pose of a free base."""
+    return any(name.startswith("base.") for name in log.floating)
+
+
 def with_base(log: JointLog, model: RobotModel) -> JointLog:
     """Return the log with the six joints of a floating base, and ground forces.
 
     The log of a fixed model is unchanged, with a note if it has the pose of a base.
     """
     joints = model.base_joints
-    if not joints and any(name.startswith("base.") for name in log.floating):
+    if not joints and has_base(log):
         words = "has the pose of a free base, but the model is fixed: --floating frees it"
-        return log if words in log.notes else replace(log, notes=(*log.notes, words))
+        if words in log.notes:
+            return log
+        return replace(log, notes=(*log.notes, words), assumed=(*log.assumed, words))
     if not joints or set(joints) <= set(log.joints):
         return log
     if len(joints) > 6:

@@ -420,7 +420,7 @@ def test_a_base_that_was_moved_between_logs_is_told(turns):
     if turns[0] == turns[1]:
         assert found.verdict == "explained" and not apart
     else:
-        assert "gravity is about 6° apart in log_1 and log_0" in apart[0]
+        assert "gravity is about 6° apart in log_0 and log_1" in apart[0]
 
 
 def test_a_far_turned_base_is_identified_as_its_efforts_say():

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from geodrake.cli.app import app
+from geodrake.cli.command import unchecked_words
 from geodrake.control import roll_out
 from geodrake.diagnosis import compare, explain
 from geodrake.effects import Role, WrenchOffset
@@ -805,8 +806,9 @@ def test_robots_on_their_feet_are_simulated(model, maker, wrenches):
 
 def test_a_fixed_model_says_that_the_log_is_of_a_free_base(tmp_path, maker):
     (tmp_path / "quadruped.urdf").write_text(quadruped(), encoding="utf-8")
-    found = compare(load_description(tmp_path / "quadruped.urdf"), maker.log(wrenches=True))
-    assert any("--floating frees it" in note for note in found.notes)
+    fixed, log = load_description(tmp_path / "quadruped.urdf"), maker.log(wrenches=True)
+    assert any("--floating frees it" in note for note in compare(fixed, log).first)
+    assert "base is logged as free" in unchecked_words(fixed, [log])[0]
 
 
 @pytest.mark.parametrize("command", ["log", "compare", "play"])
