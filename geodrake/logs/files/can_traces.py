@@ -15,20 +15,22 @@ from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.joined_tables import YEARS, joined_tables
-from geodrake.logs.files.packed_files import open_log, unpacked
+from geodrake.logs.files.packed_files import open_log
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable, readable
 
+_ASC = rb"date .*\s+base +(hex|dec)"
 BEGINNING = re.compile(
-    rb"\s*(\([\d.: -]+\)\s+)?\w+\s+[\dA-F]{3,8}(#|\s+\[\d+\] )"
-    rb"|date .*\s+base +(hex|dec)|;\$FILEVERSION"
+    rb"\s*(\([\d.: -]+\)\s+)?[\w-]+\s+[\dA-F]{3,8}(#|\s+\[\d+\] )|;\$FILEVERSION|" + _ASC
 )
 """First bytes of traces in text."""
+
+FIRST = 200
+"""Bytes that show the format of a text."""
 
 TRACES = (".blf", ".trc")
 """Suffixes of traces; those of text may also have others."""
 
-_OF_VECTOR = (".asc", ".blf")
 _MOST_LISTED = 8  # ids in messages
 
 Key = tuple[int, bool]
@@ -44,32 +46,46 @@ def read_trace(path: Path, reading: Reading) -> LogTable:
         )
     messages = {(m.frame_id, m.is_extended_frame): m for m in _database(reading.dbc).messages}
     rows, times = dict[Any, list[tuple[float, ...]]](), dict[Any, list[float]]()
-    unknown, short = Counter[Key](), Counter[Key]()
+    unknown, unfit, others = Counter[Key](), Counter[Key](), list[str]()
     with readable(path, "trace of a CAN bus", "Is it cut off? Remove the last frame."):
         decoding = optional_package("cantools.database", "logs", "traces of a CAN bus", LogError)
-        for time, channel, key, data in _frames(path):
+        for time, channel, key, data in _frames(path, others):
             if key not in messages:
                 unknown[key] += 1
                 continue
             try:
                 signals = messages[key].decode(data, decode_choices=False)
             except (decoding.DecodeError, ValueError):
-                short[key] += 1
+                unfit[key] += 1
                 continue
             part = channel, key, tuple(signals)  # multiplexed frames have several
             rows.setdefault(part, []).append(tuple(map(float, signals.values())))
             times.setdefault(part, []).append(time)
     counts = f"{_listed(unknown)}, which {reading.dbc.name} lacks" if unknown else ""
+    if not (rows or unknown or unfit):
+        raise LogError(
+            f"Log {str(path)!r} is a trace of a CAN bus without data frames"
+            f"{f'; its first line is {others[0][:80]!r}' if others else ''}.",
+            advice="Record it again, as with candump -l can0.",
+        )
     if not rows:
         known = ", ".join(_hex(key) for key in [*messages][:_MOST_LISTED])
         raise LogError(
             f"No frame of log {str(path)!r} can be decoded: it has "
-            f"{counts or _listed(short) or 'none'}; the DBC has {known or 'no messages'}.",
+            f"{counts or f'{_listed(unfit)}, which do not fit'}; "
+            f"the DBC has {known or 'no messages'}.",
             advice="Give the DBC of this robot and bus.",
         )
     notes = [f"there are frames with {counts}"] if counts else []
-    if short:
-        notes.append(f"frames with {_listed(short)} are shorter than in the DBC, and not used")
+    if unfit:
+        notes.append(
+            f"frames with {_listed(unfit)} are not used: they are shorter than in the DBC, or of a "
+            "page that it lacks"
+        )
+    if others:
+        notes.append(
+            f"lines without data frames are not used: {len(others)}, such as {others[0][:80]!r}"
+        )
     channels = Counter(key for _, key in {(channel, key) for channel, key, _ in rows})
     decoded = {key: messages[key] for _, key, _ in rows}
     owners = Counter(name for m in decoded.values() for name in {s.name for s in m.signals})
@@ -102,19 +118,25 @@ def _database(path: Path) -> Any:
         ) from error
 
 
-def _frames(path: Path) -> Iterator[tuple[float, str, Key, bytes]]:
-    """Yield time (s), channel, key and data of the data frames."""
-    if unpacked(path).suffix.lower() in _OF_VECTOR:
+def _frames(path: Path, others: list[str]) -> Iterator[tuple[float, str, Key, bytes]]:
+    """Yield time (s), channel, key and data of the data frames; append other lines to `others`."""
+    if path.suffix.lower() == ".blf":
         can = optional_package("can", "logs", "traces of a CAN bus", LogError)
-        with can.LogReader(path) as frames:
-            for frame in frames:
-                if not (frame.is_error_frame or frame.is_remote_frame):
-                    key = frame.arbitration_id, bool(frame.is_extended_id)
-                    yield frame.timestamp, str(frame.channel), key, bytes(frame.data)
+        with can.BLFReader(path) as frames:
+            yield from _messages(frames)
         return
-    logreader = optional_package("cantools.logreader", "logs", "traces of a CAN bus", LogError)
+    with open_log(path) as file:
+        is_asc = re.match(_ASC, file.read(FIRST))
     with open_log(path) as file, io.TextIOWrapper(file, errors="replace") as text:
-        for frame in logreader.Parser(text):
+        if is_asc:
+            can = optional_package("can", "logs", "traces of a CAN bus", LogError)
+            yield from _messages(can.ASCReader(text))
+            return
+        logreader = optional_package("cantools.logreader", "logs", "traces of a CAN bus", LogError)
+        for line, frame in logreader.Parser(text).iterlines(keep_unknowns=True):
+            if frame is None:
+                others += [line] * (line.strip() != "" and not line.startswith(";"))
+                continue
             stamp = frame.timestamp
             if stamp is None:
                 raise LogError(
@@ -125,6 +147,14 @@ def _frames(path: Path) -> Iterator[tuple[float, str, Key, bytes]]:
                 time = stamp.timestamp() if hasattr(stamp, "timestamp") else stamp.total_seconds()
                 key = frame.frame_id, bool(frame.is_extended_frame)
                 yield time, frame.channel, key, frame.data
+
+
+def _messages(frames: Any) -> Iterator[tuple[float, str, Key, bytes]]:
+    """Yield time (s), channel, key and data of the data frames of a reader of python-can."""
+    for frame in frames:
+        if not (frame.is_error_frame or frame.is_remote_frame):
+            key = frame.arbitration_id, bool(frame.is_extended_id)
+            yield frame.timestamp, str(frame.channel), key, bytes(frame.data)
 
 
 def _hex(key: Key) -> str:

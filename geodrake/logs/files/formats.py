@@ -25,7 +25,7 @@ from geodrake.logs.files.array_files import (
     read_rsi,
     read_yaml,
 )
-from geodrake.logs.files.can_traces import BEGINNING, TRACES, read_trace
+from geodrake.logs.files.can_traces import BEGINNING, FIRST, TRACES, read_trace
 from geodrake.logs.files.grouped_arrays import regrouped
 from geodrake.logs.files.joined_tables import joined_tables
 from geodrake.logs.files.message_logs import MAGIC, read_bag, read_lcm
@@ -87,8 +87,6 @@ BEGINNINGS: Mapping[bytes, Reader] = {
 }
 """First bytes -> reader of files without a specific suffix, such as lcm-logger's."""
 
-_FIRST = 200  # bytes that show the format of a text
-
 
 def table_of(path: Path, reading: Reading) -> LogTable:
     """Return the table of a file of any format, whose columns may be read later."""
@@ -128,13 +126,13 @@ def reader_of(path: Path) -> Reader | None:
     kind = unpacked(path).suffix.lower()
     if kind in (*TEXT, *_MODELS) or kind not in SUFFIXES:
         with open_regular(path, "log", LogError) as file:
-            first = file.read(_FIRST)
+            first = file.read(FIRST)
         readers = (reader for begin, reader in BEGINNINGS.items() if first.startswith(begin))
         if (special := next(readers, None)) is not None:
             return special
     if kind in TEXT:  # perhaps compressed
         with readable(path, f"{path.suffix} file"), open_log(path) as file:
-            if BEGINNING.match(file.read(_FIRST)):
+            if BEGINNING.match(file.read(FIRST)):
                 return read_trace
     return SUFFIXES.get(kind)
 
