@@ -215,7 +215,8 @@ def test_options_without_a_meaning_are_noted(tmp_path):
     log = write(tmp_path / "log.csv", OWN, table(seconds=1.0))
     told("log", log, "--model", PENDULUM, "--lock", "elbow=0.3", "--quiet")
     other = write(tmp_path / "other.csv", OWN, table(seconds=2.0))
-    said = told("log", log, other, "--topic", "/joint_states", "--episode", "3")
+    said = told("log", log, other, "--topic", "/joint_states", "--episode", "3", "--dbc", "a.dbc")
+    assert "log.csv has no frames of a CAN bus, so 'a.dbc' has no meaning" in said
     assert "log.csv has no topics, so '/joint_states' has no meaning" in said
     assert "log.csv has no episodes, so 3 has no meaning" in said
 

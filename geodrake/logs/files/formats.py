@@ -106,17 +106,27 @@ def table_of(path: Path, reading: Reading) -> LogTable:
             or f"Name it .csv if it is text, or convert it to one of {', '.join(SUFFIXES)}.",
         )
     table = reader(path, reading)
-    if kind not in (*TEXT, *_SHEETS, ".npy", ".npz") or reader is read_trace:
+    if reader is read_trace:
         return table
+    lacks: dict[str, object] = (
+        {} if reading.dbc is None else {"frames of a CAN bus": reading.dbc.name}
+    )
+    if kind in (*TEXT, *_SHEETS, ".npy", ".npz"):
+        lacks |= _lacks(table, reading, is_sheet=kind in _SHEETS)
+    notes = (f"{path.name} has no {what}, so {x!r} has no meaning" for what, x in lacks.items())
+    return table.noting(*notes)
+
+
+def _lacks(table: LogTable, reading: Reading, *, is_sheet: bool) -> dict[str, object]:
+    """Return what is chosen but a table lacks -> the choice."""
     names = [*table.names, *table.words]
     words = frozenset().union(*map(plain_words, table.names))  # one may name a robot
     unmatched = [topic for topic in reading.topics if not plain_words(topic) & words]
-    has_robots = kind in _SHEETS or any(tells(name, "robots") for name in names)
-    lacks = dict[str, object](topic=", ".join(unmatched)) if unmatched and not has_robots else {}
+    has_robots = is_sheet or any(tells(name, "robots") for name in names)
+    lacks = dict[str, object](topics=", ".join(unmatched)) if unmatched and not has_robots else {}
     if reading.episode is not None and not any(tells(name, "recordings") for name in names):
-        lacks["episode"] = reading.episode
-    notes = (f"{path.name} has no {what}s, so {x!r} has no meaning" for what, x in lacks.items())
-    return table.noting(*notes)
+        lacks["episodes"] = reading.episode
+    return lacks
 
 
 def reader_of(path: Path) -> Reader | None:
