@@ -56,6 +56,23 @@ EFFECTS = [
         ),
         [30.0, -3.0, 2.0],
     ),
+    (
+        Tendon(
+            bodies=("world", "wrist", "world"),
+            numbers=(
+                *(0, 0, 0.5, 0.2, 1.3, 0.1, 0, 0.2, 1),
+                0.3,
+                0,
+                0.2,
+                0,
+                0.6,
+                1,
+                *5 * (0,),
+                0.4,
+            ),
+        ),
+        [30.0, -3.0, 2.0],
+    ),
     (BallSpring(("column", "wrist"), 0.5, 0.5, -0.5, 0.5), [3.0]),
     (BallSpring(("wrist", "world"), 0.8, 0.0, 0.6, 0.0), [3.0]),
     (SquaredLoadFriction("elbow_pitch", 4.0), [0.1]),

@@ -586,6 +586,8 @@ def wrapped(
     Returns:
         Whether it does (N,), where it begins and ends to touch (N, 3), and the length between.
     """
+    shape = np.broadcast_shapes(a.shape, b.shape)  # a point of the world has one row
+    a, b = (np.broadcast_to(p, shape, subok=True) for p in (a, b))
     if is_cylinder:
         x, y = np.eye(3)[:2, None]
     else:

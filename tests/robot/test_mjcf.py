@@ -140,6 +140,17 @@ TAKEN = {
             '<site site="u"/></spatial></tendon>',
         )
     ),
+    "tendons from the world around geoms of the world, and around one of a body": (
+        mjcf(
+            '<site name="w" pos=".3 0 .6"/><site name="x" pos="-.2 .3 .4"/>'
+            '<geom name="o" size=".1" pos=".2 0 .4"/>'
+            '<geom name="c" type="cylinder" size=".1 .2" pos=".1 0 .5"/>'
+            + tip(geom=GEOM + '<site name="u" pos="0 0 .1"/><geom name="g" size=".05"/>'),
+            tail='<tendon><spatial stiffness="40" damping="3"><site site="w"/><geom geom="o"/>'
+            '<site site="u"/><geom geom="c"/><site site="x"/><geom geom="g"/><site site="w"/>'
+            '<geom geom="o"/><site site="x"/></spatial></tendon>',
+        )
+    ),
     "a rope that pulls alone, and one with a dead band over two parts": (
         mjcf(
             '<site name="w" pos=".1 .2 .9"/><site name="x" pos=".3 .2 .5"/>'
