@@ -157,3 +157,7 @@ def test_what_is_no_added_mass_is_refused_or_told(tmp_path):
     ).left_out
     assert "line 2: <fluid_added_mass> is ignored, as it has the negative eigenvalue -3." in told
     assert not arm(tmp_path, ["<fluid_added_mass><yy>0</yy></fluid_added_mass>"] + [""] * 2).effects
+    (told,) = arm(
+        tmp_path, ["<fluid_added_mass><yy>1</yy><yx>1</yx></fluid_added_mass>"] + [""] * 2
+    ).left_out
+    assert "line 2: <yx> of <fluid_added_mass> ignored; its entries are xx, xy, … rr." in told

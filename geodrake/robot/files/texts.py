@@ -380,7 +380,11 @@ class ModelText(abc.ABC):
         """Move the inertia of the fluid around a link of an SDF to the terms."""
         for element in link.findall("inertial/fluid_added_mass"):
             drop(link, element.tag)
-            stated = {each.tag: each.text or "" for each in element}
+            stated = {each.tag: each.text or "" for each in element if isinstance(each.tag, str)}
+            unknown = [f"<{tag}>" for tag in stated if tag not in ADDED_MASS]
+            if unknown:
+                what = f"{place_of(element, self.path)}: {', '.join(unknown)} of <{element.tag}>"
+                self.terms.left_out.append(f"{what} ignored; its entries are xx, xy, … rr.")
             entries = [float(numbers(stated.get(tag, ""), 1)[0]) for tag in ADDED_MASS]
             if not np.isfinite(entries).all():
                 tag = ADDED_MASS[np.isfinite(entries).argmin()]
