@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from geodrake.diagnosis.beliefs import Beliefs
-from geodrake.diagnosis.unknown_efforts import CURVES, UnknownFunction
+from geodrake.diagnosis.unknown_efforts import CURVES, UNKNOWN, UnknownFunction
 from geodrake.effects.base import Effect, Proposer
 from geodrake.effects.declarations import Role
 from geodrake.effects.episode import Episode, PointEpisode
@@ -345,12 +345,16 @@ class Compatibility:
 
     Each place can be taken once, by an effect or by one that contains it, and the effects that a
     term refines must be present. A payload during an episode and a simultaneous contact of the body
-    are alternatives. `known` are the keys of the model's effects.
+    are alternatives, as are an unknown function and an effect that contains a constant: both
+    constants together imitate what happens at reversals. `known` are the keys of the model's
+    effects.
     """
 
     def __init__(self, terms: Terms, known: frozenset[Key]) -> None:
         self._bit = {term: 1 << k for k, term in enumerate(terms)}
-        at, containing, bodies, covers = (defaultdict[Any, int](int) for _ in range(4))
+        at, containing, bodies, covers, unknown_at, constants = (
+            defaultdict[Any, int](int) for _ in range(6)
+        )
         for term, bit in self._bit.items():
             at[term.key] |= bit
             for key in term.contains:
@@ -360,6 +364,11 @@ class Compatibility:
             if term.is_body:
                 bodies[term.where] |= bit
         episodes = {term for term in terms if isinstance(term.effect, Episode)}
+        unknown = {term for term in terms if term.joint and isinstance(term.effect, UNKNOWN)}
+        for term in unknown:
+            unknown_at[term.joint] |= self._bit[term]
+        for term in filter(_has_constant, terms):
+            constants[term.joint] |= self._bit[term]
         self._against, self._needs = dict[Term, int](), dict[Term, Options]()
         for term in terms:
             against = at[term.key] | containing[term.key]
@@ -369,6 +378,8 @@ class Compatibility:
                 [self._bit[o] for o in episodes if _overlaps(term, o)] if term in episodes else []
             )
             against |= reduce(or_, overlapping, 0)
+            against |= constants[term.joint] if term in unknown else 0
+            against |= unknown_at[term.joint] if _has_constant(term) else 0
             self._against[term] = -1 if term.key in known and not term.is_own else against
             if term.needs:
                 self._needs[term] = [
@@ -399,6 +410,12 @@ class Compatibility:
             if term in self._needs:
                 needs = [*needs, self._needs[term]]
         return not needs or all(_is_met(options, present) for options in needs)
+
+
+def _has_constant(term: Term) -> bool:
+    """Return whether an effect of a joint contains one that is the same at all times."""
+    kinds = [] if term.effect is None else term.effect.contains
+    return term.joint is not None and not all(kind.depends_on for kind in kinds)
 
 
 def _overlaps(term: Term, other: Term) -> bool:
