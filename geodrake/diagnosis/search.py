@@ -181,7 +181,11 @@ class Search:
             return self
         other._climb(optimistic=False)
         other._try_bodies_near_file()
-        return other if self._is_worse_than(other) else self
+        if not self._is_worse_than(other):
+            return self
+        # It may be due to columns alone, such as those of fading friction.
+        other._keep_more_probable(self.fit, self._delays_of_fit())
+        return other
 
     def _is_worse_than(self, other: Search) -> bool:
         """Return whether another search has more evidence and lower held-out errors."""
