@@ -11,6 +11,7 @@ from pinocchio_logs import MODELS, effort_log, robot
 from scipy.integrate import cumulative_trapezoid
 from scipy.special import erf
 
+from diagrams.benchmarks.everyday_robots import Draw, score_draw
 from geodrake import load_model
 from geodrake.diagnosis import add, check_columns, compare, diagnose, explain
 from geodrake.diagnosis.refinements import common_delay
@@ -53,6 +54,18 @@ def in_turn(seconds=30.0, rate=100.0, noise=(0.003, 1e-5), rotors=(0.0, 0.0)):
         for each, size in zip((effort, q), noise, strict=True)
     )
     return JointLog("in turn", JOINTS, time, measured, effort)
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        Draw("ur3", 27, 409),  # a curve of the velocity and asymmetric friction share a constant
+        Draw("panda", 38, 419),  # only one of two searches has columns of friction that fades
+    ],
+)
+def test_plain_friction_is_not_taken_for_rare_effects(draw):
+    row = score_draw(draw)
+    assert row["missing"] == row["wrong"] == []
 
 
 @pytest.mark.thorough
