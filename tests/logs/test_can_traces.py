@@ -76,6 +76,13 @@ def test_frames_are_decoded_with_the_units_of_the_dbc(candump):
     assert_packed(read_log(path, reading=reading))
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "cp1252"])
+def test_degree_signs_of_a_dbc_are_read_in_either_encoding(candump, encoding):
+    path, reading = candump
+    reading.dbc.write_bytes(DBC.replace('"deg', '"°').encode(encoding))
+    assert_packed(read_log(path, reading=reading))
+
+
 def test_other_layouts_of_candump(candump):
     path, reading = candump
     rows = [

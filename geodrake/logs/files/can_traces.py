@@ -106,16 +106,24 @@ def read_trace(path: Path, reading: Reading) -> LogTable:
 def _database(path: Path) -> Any:
     """Return the messages of a DBC, or of another format that cantools reads."""
     cantools = optional_package("cantools", "logs", "traces of a CAN bus", LogError)
+    content = regular_file(path, "DBC", LogError).read_bytes()
+    encoding = "utf-8" if _is_utf8(content) else None  # cantools expects cp1252 in a DBC
     try:
-        return cantools.database.load_file(regular_file(path, "DBC", LogError), strict=False)
-    except LogError:
-        raise
+        return cantools.database.load_file(path, encoding=encoding, strict=False)
     except Exception as error:  # its parsers raise many types
         reason = " ".join(str(error).split())[:200]
         raise LogError(
             f"DBC {str(path)!r} cannot be read: {reason}.",
             advice="Give a DBC, KCD, SYM or ARXML file.",
         ) from error
+
+
+def _is_utf8(content: bytes) -> bool:
+    try:
+        content.decode()
+    except UnicodeDecodeError:
+        return False
+    return True
 
 
 def _frames(path: Path, others: list[str]) -> Iterator[tuple[float, str, Key, bytes]]:
