@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from geodrake.boundary.input_files import regular_file
+from geodrake.boundary.input_files import open_regular
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.joined_tables import YEARS, joined_tables
@@ -106,8 +106,8 @@ def read_trace(path: Path, reading: Reading) -> LogTable:
 def _database(path: Path) -> Any:
     """Return the messages of a DBC, or of another format that cantools reads."""
     cantools = optional_package("cantools", "logs", "traces of a CAN bus", LogError)
-    content = regular_file(path, "DBC", LogError).read_bytes()
-    encoding = "utf-8" if _is_utf8(content) else None  # cantools expects cp1252 in a DBC
+    with open_regular(path, "DBC", LogError) as file:
+        encoding = "utf-8" if _is_utf8(file.read()) else None  # cantools expects cp1252 in a DBC
     try:
         return cantools.database.load_file(path, encoding=encoding, strict=False)
     except Exception as error:  # its parsers raise many types
