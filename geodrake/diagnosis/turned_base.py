@@ -86,6 +86,8 @@ def logs_apart_notes(case: Case, model: LogModel, fit: Fit) -> list[str]:
                 pull[own] += weight * turns.T @ left
                 total += weight * float(left @ left)
     gram -= cross.T @ np.linalg.solve(model.hessian(fit), cross)
+    if np.linalg.eigvalsh(gram)[0] <= 0.0:  # the kept rows are not like the others
+        return []
     found = np.linalg.solve(gram, pull)
     if pull @ found < _SHARE * total:
         return []
@@ -95,8 +97,8 @@ def logs_apart_notes(case: Case, model: LogModel, fit: Fit) -> list[str]:
     if np.degrees(angle) < _LEAST_MOVED:
         return []
     return [
-        f"gravity is about {np.degrees(angle):.0f}° apart in {names[one]} and {names[other]}: "
-        "if the base was moved between them, explain them separately"
+        f"the direction of gravity differs by about {np.degrees(angle):.0f}° between {names[one]} "
+        f"and {names[other]}: if the base was moved, explain them separately"
     ]
 
 
