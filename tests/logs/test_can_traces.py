@@ -83,6 +83,15 @@ def test_degree_signs_of_a_dbc_are_read_in_either_encoding(candump, encoding):
     assert_packed(read_log(path, reading=reading))
 
 
+def test_units_of_a_dbc_may_be_scaled_and_must_be_known(candump):
+    path, reading = candump
+    reading.dbc.write_text(DBC.replace('(0.02,0) [0|0] "deg"', '(0.2,0) [0|0] "0.1deg"'))
+    assert_packed(read_log(path, reading=reading))
+    reading.dbc.write_text(DBC.replace('"deg"', '"furlong"'))
+    with pytest.raises(LogError, match="is in 'furlong', which is no known unit of position"):
+        read_log(path, reading=reading)
+
+
 def test_other_layouts_of_candump(candump):
     path, reading = candump
     rows = [

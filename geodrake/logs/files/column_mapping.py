@@ -43,7 +43,7 @@ from geodrake.logs.files.packed_files import log_name
 from geodrake.logs.files.reading import ColumnMapping, MappedColumn, Reading, propose
 from geodrake.logs.files.state_space import follows, state_columns
 from geodrake.logs.files.table import LogTable, date_words, rate_in
-from geodrake.logs.files.units import UNITS, find_unit, unit_advice, unit_of
+from geodrake.logs.files.units import UNITS, find_unit, scaled_unit, unit_advice, unit_of
 from geodrake.logs.motion import (
     EFFORT_KINDS,
     PARTIAL,
@@ -245,7 +245,7 @@ def settled(
     quantity, user_units = meaning.quantity, {} if meaning.style == MAPPED else reading.units
     stated = "" if meaning.style == MAPPED else units.get(meaning.column, "")
     column = f"Column {meaning.column!r} of log {str(path)!r}"
-    unit = meaning.unit or find_unit(stated, quantity)
+    unit = meaning.unit or scaled_unit(stated, quantity)
     if meaning.log_quantity != "effort":
         unit = unit_of(user_units[quantity], quantity) if quantity in user_units else unit
         if unit and np.isnan(unit.factor) and quantity in ("position", "command"):
@@ -269,7 +269,7 @@ def settled(
         return replace(meaning, unit=unit)
     choice = reading.kind_of(joint)
     choice = None if choice == "command" else choice
-    unit = unit or find_unit(stated, "effort")
+    unit = unit or scaled_unit(stated, "effort")
     option = unit_of(user_units["effort"], "effort") if "effort" in user_units else None
     kind, likely = quantity, option or unit
     if kind == "effort" and likely is not None and meaning.gain == 1.0:
@@ -554,7 +554,10 @@ def _check_one_robot(path: Path, best: Best) -> None:
 
 
 def _check_units(table: LogTable, places: Mapping[tuple[str, str], Meaning]) -> None:
-    """Raise if several joints have the same unknown unit, but the table also has known units."""
+    """Raise for unknown units, if the table also has known ones.
+
+    Brackets in the names of columns may mean something else, unless several joints have them.
+    """
     stated = {n: unit for n in table.names if (unit := bracketed(n))} | {**table.units}
     known = {unit for unit in {*stated.values()} if any(find_unit(unit, each) for each in UNITS)}
     odd = {n for n, unit in stated.items() if known and (unit in known or is_unknown_word(unit))}
@@ -564,7 +567,7 @@ def _check_units(table: LogTable, places: Mapping[tuple[str, str], Meaning]) -> 
     counts = Counter((source.quantity, stated[source.column]) for source in unresolved)
     for source in unresolved:
         unit = stated[source.column]
-        if counts[source.quantity, unit] > 1:
+        if counts[source.quantity, unit] > 1 or source.column in table.units:
             raise LogError(
                 f"Column {source.column!r} of log {str(table.path)!r} is in {unit!r}, which is no "
                 f"known unit of {source.quantity}.",
