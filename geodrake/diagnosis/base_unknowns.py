@@ -1,4 +1,4 @@
-"""Unknowns of a model that logs can distinguish, with the prior of all.
+"""Base parameters of a model: what logs determine of its bodies, with an equivalent prior.
 
 Rows contain inertial parameters only in certain combinations, β = φ_b + K φ_d, as the columns of
 the others depend on the columns b: Y_d = Y_b K. A fit over the columns b with the prior of β has
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpstrf
 
 from geodrake.identification.logs.unknowns import Unknowns
+from geodrake.identification.normal_equations import scaled_cholesky, solved
 from geodrake.inertia import PARAMETERS_PER_BODY
 
 Array = NDArray[np.float64]
@@ -99,8 +100,6 @@ def _span(body: int) -> slice:
 
 def _inverse(matrix: Array) -> tuple[Array, float]:
     """Return the inverse of a positive definite matrix of any scale, and log |matrix|."""
-    scale = np.diag(matrix) ** -0.5
-    unit = matrix * scale * scale[:, None]
-    inverse = np.linalg.inv(unit) * scale * scale[:, None]
-    log_determinant = np.linalg.slogdet(unit)[1] - 2.0 * np.log(scale).sum()
-    return 0.5 * (inverse + inverse.T), float(log_determinant)
+    factor, scale = scaled_cholesky(matrix, ridge=0.0)
+    inverse = solved(factor, np.eye(len(scale))) * scale * scale[:, None]
+    return 0.5 * (inverse + inverse.T), 2.0 * float(np.log(np.diag(factor) / scale).sum())

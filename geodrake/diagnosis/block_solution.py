@@ -38,11 +38,11 @@ def prior_matrix(prior: Prior) -> Array:
 
 def prior_distance(prior: Prior, deviation: Array) -> float:
     """Return the squared distance of a deviation (n,) from the mean."""
-    (base, own, first, _), shared = prior, deviation[: len(prior[0])]
-    partners = np.append(deviation, np.zeros(own.shape[1]))[
-        first[:, None] + np.arange(own.shape[1])
-    ]
-    return float(shared @ base @ shared + deviation @ np.einsum("ik,ik->i", own, partners))
+    base, own, first, _ = prior
+    width = own.shape[1]
+    padded, shared = np.append(deviation, np.zeros(width)), deviation[: len(base)]
+    others = np.sum(own * padded[first[:, None] + np.arange(width)], axis=1)
+    return float(shared @ base @ shared + deviation @ others)
 
 
 @inlined

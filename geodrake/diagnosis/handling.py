@@ -196,7 +196,8 @@ class _Base:
 
         An inexact instant leaves errors at few rows, in which a joint may reverse.
         """
-        hessian, kept = model.uniform_noise_hessian(fit), np.ones(len(fit.x), bool)
+        hessian = model.hessian(fit, uniform_noise=True)
+        kept = np.ones(len(fit.x), bool)
         if without is not None:
             kept[model.spans(fit.terms)[without]] = False
         H, x = hessian[np.ix_(kept, kept)], fit.x[kept]

@@ -368,19 +368,16 @@ class LogModel:
         turning = fit.weights[self._reversing.get(joint, joint)]
         return [np.where(turns, turning, fit.weights[joint]) for turns in self._turns[joint]]
 
-    def hessian(self, fit: Fit) -> Array:
-        """Return Λ + Σ_k w_k A_kᵀA_k (n, n) of a fit."""
-        return self._hessian(fit, fit.weights)
+    def hessian(self, fit: Fit, *, uniform_noise: bool = False) -> Array:
+        """Return Λ + Σ_k w_k A_kᵀA_k (n, n) of a fit.
 
-    def _hessian(self, fit: Fit, weights: Array) -> Array:
+        If `uniform_noise`, reversals have the same noise as other rows.
+        """
+        weights = fit.weights[self.joint_of] if uniform_noise else fit.weights
         packed = calc_packed(self.grams, self.places.take(fit.columns, axis=1), self._common)
         hessian = prior_matrix(fit.prior)
         add_normal(packed, weights, hessian)
         return hessian
-
-    def uniform_noise_hessian(self, fit: Fit) -> Array:
-        """Return the Hessian (n, n) of a fit with the same noise in reversals as elsewhere."""
-        return self._hessian(fit, fit.weights[self.joint_of])
 
     def with_sensor_noise(self, fit: Fit) -> Fit:
         """Return an explanation refitted with no more than sensor noise at each joint."""
@@ -886,7 +883,7 @@ class LogModel:
         rhs = np.sum([(own @ b[..., None])[..., 0] for own, (_, b) in pairs], axis=0)
         moments, _ = self.moments(fit.columns, fit.choice.delay)
         prior = self.hessian(fit) @ fit.x - fit.weights @ moments
-        factor, scale = scaled_cholesky(self.uniform_noise_hessian(fit) - gram)
+        factor, scale = scaled_cholesky(self.hessian(fit, uniform_noise=True) - gram)
         rhs = prior + rhs.sum(axis=0) - rhs
         x = np.array([s * solved(L, s * b) for L, s, b in zip(factor, scale, rhs, strict=True)])
         if not reversing:

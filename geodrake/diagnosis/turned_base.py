@@ -71,7 +71,10 @@ def logs_apart_notes(case: Case, model: LogModel, fit: Fit) -> list[str]:
         return []
     at, count = case.dataset.effect_columns(turning[0]), len(turning[0].parameters)
     cross, total = np.zeros((len(fit.x), count * len(names))), 0.0
-    gram, pull = np.eye(cross.shape[1]), np.zeros(cross.shape[1])  # turns of some 1 rad
+    gram, pull = (
+        np.eye(cross.shape[1]),
+        np.zeros(cross.shape[1]),
+    )  # prior deviation of a turn: 1 rad
     for j, data in enumerate(case.dataset.data):
         local = data.local(at)
         kept = max(sum(len(rows.b) for fold in data.rows for rows in fold), 1)
