@@ -42,7 +42,7 @@ class Table:
     @property
     def in_short(self) -> Table:
         """Return the table without its deep columns."""
-        return self._columns([name not in self.deep for name in self.head])
+        return self.columns([name not in self.deep for name in self.head])
 
     @property
     def deep_columns(self) -> tuple[str, ...]:
@@ -53,14 +53,15 @@ class Table:
     def in_depth(self) -> Table:
         """Return the columns of words and the deep ones, without rows that are empty there."""
         kept = [k < self.words or name in self.deep for k, name in enumerate(self.head)]
-        table, words = self._columns(kept), self.words
-        rows = [row for row in table.rows if any(cell.text for cell in row[words:])]
-        total = self.total if len(rows) == len(table.rows) else 0
-        return replace(table, rows=rows, total=total)
+        return self.columns(kept, filled=True)
 
-    def _columns(self, kept: Sequence[bool]) -> Table:
+    def columns(self, kept: Sequence[bool], *, filled: bool = False) -> Table:
+        """Return the table with some columns; if `filled`, without rows that have no numbers."""
         rows = [tuple(compress(row, kept)) for row in self.rows]
-        return replace(self, head=tuple(compress(self.head, kept)), rows=rows)
+        if filled:
+            rows = [row for row in rows if any(cell.text for cell in row[self.words :])]
+        total = self.total if len(rows) == len(self.rows) else 0
+        return replace(self, head=tuple(compress(self.head, kept)), rows=rows, total=total)
 
 
 def cells(*entries: Cell | str | float | None) -> tuple[Cell, ...]:

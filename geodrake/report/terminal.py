@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
 from rich import box
+from rich.cells import cell_len
 from rich.console import Console
-from rich.measure import Measurement
 from rich.table import Table as Grid
 from rich.text import Text
 
 from geodrake.boundary.escaping import printable
 from geodrake.report.page import Page, Section, Table
 
-_UNLIMITED = 10_000  # columns
+_GAP = 2  # columns between those of a table
+_NARROW_NAME, _WIDE_NAME = 12, 20  # columns to which names are wrapped before a table is split
+_ENDS = re.compile(r"(?<=[_/.:])")  # where lines end inside names
 _NARROW = 40  # columns, below which labels and texts are not beside each other
 
 
@@ -68,11 +72,10 @@ def show_section(console: Console, section: Section, *, details: bool = True) ->
         if not table.detailed:
             if table.title:
                 _head(console, table.title)
-            is_split = details and table.deep and not _fits(console, table)
-            console.print(_grid(console, table if details and not is_split else table.in_short))
-            if is_split:
-                console.print()
-                console.print(_grid(console, table.in_depth))
+            for k, grid in enumerate(_tables(console, table, details=details)):
+                if k > 0:
+                    console.print()
+                console.print(grid)
     _show_items(console, (*section.items, *section.commands))
 
 
@@ -114,31 +117,98 @@ def _show_items(console: Console, items: Sequence[str]) -> None:
             console.print(f"- {item}", soft_wrap=True)
 
 
-def _fits(console: Console, table: Table) -> bool:
-    """Return whether a table needs no more columns than the terminal has."""
-    unlimited = console.options.update(max_width=_UNLIMITED)
-    return Measurement.get(console, unlimited, _grid(console, table)).maximum <= console.width
+def _tables(console: Console, table: Table, *, details: bool) -> Iterator[Grid]:
+    """Yield a table in parts that are not wider than the terminal, the deep columns last."""
+    parts = [table if details else table.in_short]
+    if details and table.deep_columns and sum(_widths(console, table)) > console.width:
+        parts = [table.in_short, table.in_depth]
+    for part in parts:
+        widths, words = _widths(console, part), part.words
+        least = [*map(min, widths[:words], _least_widths(part)), *widths[words:]]
+        first = words
+        while True:
+            last = len(widths)
+            while last > first + 1 and sum(least[:words] + least[first:last]) > console.width:
+                last -= 1
+            kept = [k < words or first <= k < last for k in range(len(widths))]
+            room = [*compress(widths, kept)], [*compress(least, kept)]
+            shown = part.columns(kept, filled=first > words)
+            yield _grid(console, shown, _fitted(*room, console.width))
+            first = last
+            if last == len(widths):
+                break
 
 
-def _grid(console: Console, table: Table) -> Grid:
+def _widths(console: Console, table: Table) -> list[int]:
+    """Return the widths of columns without wrapping, with the gaps between them."""
+    texts = [[cell.typed or cell.text for cell in row] for row in table.rows]
+    columns = [[name, *column] for name, *column in zip(table.head, *texts, strict=True)]
+    if console.is_terminal:
+        for column in columns[table.words :]:
+            column[0] = column[0].replace(" ", "\n")
+    lines = [[printable(line) for x in column for line in x.split("\n")] for column in columns]
+    widths = [max(map(cell_len, column)) + _GAP for column in lines]
+    return [*widths[:-1], widths[-1] - _GAP]
+
+
+def _least_widths(table: Table) -> list[int]:
+    """Return the widths to which columns of words are wrapped before the table is split."""
+    least = []
+    for k, name in enumerate(table.head[: table.words]):
+        words = " ".join(row[k].typed or row[k].text for row in table.rows).split()
+        pieces = words if name == "effect" else [x for word in words for x in _ENDS.split(word)]
+        widest = max(map(cell_len, pieces), default=0)
+        least.append(min(max(widest, _NARROW_NAME), _WIDE_NAME) + _GAP)
+    return least
+
+
+def _fitted(widths: Sequence[int], least: Sequence[int], room: int) -> list[int]:
+    """Return widths within the room, the widest reduced first, if the least ones allow it."""
+    fitted = list(widths)
+    while sum(fitted) > room:
+        k = max(range(len(fitted)), key=lambda k: (fitted[k] > least[k], fitted[k]))
+        if fitted[k] <= least[k]:
+            break
+        fitted[k] -= 1
+    return fitted
+
+
+def _grid(console: Console, table: Table, widths: Sequence[int]) -> Grid:
     grid = Grid(
         box=box.SIMPLE_HEAD if console.is_terminal else None,
         show_edge=False,
         pad_edge=False,
         padding=(0, 1, 0, 0) if console.is_terminal else (0, 2, 0, 0),
     )
+    texts = [width - _GAP * (k < len(widths) - 1) for k, width in enumerate(widths)]
     for k, name in enumerate(table.head):
         if k < table.words:
-            grid.add_column(printable(name), overflow="fold", no_wrap=name == "effect")
+            grid.add_column(_wrapped(name, texts[k]), overflow="fold")
         else:
             title = printable(name).replace(" ", "\n" if console.is_terminal else " ")
             grid.add_column(Text(title), justify="right", no_wrap=True)
     for k, row in enumerate(table.rows):
         if table.total and k == len(table.rows) - table.total:
             grid.add_section()
-        grid.add_row(*(_printable_lines(cell.typed or cell.text) for cell in row))
+        pairs = zip((cell.typed or cell.text for cell in row), texts, strict=True)
+        grid.add_row(*(_wrapped(text, width) for text, width in pairs))
     return grid
 
 
-def _printable_lines(text: str) -> Text:
-    return Text("\n".join(map(printable, text.split("\n"))))
+def _wrapped(text: str, width: int) -> Text:
+    """Return printable text whose lines end at spaces, or in names at underscores and the like."""
+    lines = []
+    for line in text.split("\n"):
+        lines.append("")
+        for word in printable(line).split(" "):
+            joined = f"{lines[-1]} {word}" if lines[-1] else word
+            if cell_len(joined) <= width:
+                lines[-1] = joined
+                continue
+            if lines[-1]:
+                lines.append("")
+            for piece in _ENDS.split(word):
+                if lines[-1] and cell_len(lines[-1] + piece) > width:
+                    lines.append("")
+                lines[-1] += piece
+    return Text("\n".join(lines))

@@ -29,7 +29,8 @@ from geodrake.errors import LogError
 from geodrake.logs import read_log, write_log
 from geodrake.report import About, Units, page_of, render, show_page
 from geodrake.report.numbers import number
-from geodrake.report.terminal import ResultsConsole
+from geodrake.report.page import Section, Table, cells
+from geodrake.report.terminal import ResultsConsole, show_section
 
 WAITING = re.compile(r".* \(\d+ s\)")  # said on a busy machine
 
@@ -107,10 +108,13 @@ def test_an_interrupt_keeps_results_and_a_second_one_ends_at_once(tmp_path, pend
     assert load_model(tmp_path / "model.yaml").effects
 
 
+def terminal_of(width, *, force_terminal=True):
+    looks = {"force_terminal": force_terminal, "color_system": None, "legacy_windows": False}
+    return ResultsConsole(file=io.StringIO(), markup=False, width=width, **looks)
+
+
 def printed(result, model, *, terminal=True):
-    looks = {"force_terminal": terminal, "color_system": None, "legacy_windows": False}
-    width = 80 if terminal else 160
-    console = ResultsConsole(file=io.StringIO(), markup=False, width=width, **looks)
+    console = terminal_of(80 if terminal else 160, force_terminal=terminal)
     show_page(console, page_of(result, About("arm", ("log",), units=Units.of(model))))
     return console.file.getvalue()
 
@@ -146,6 +150,21 @@ def test_a_table_that_is_too_wide_is_printed_in_two(model, added):
         rows = re.findall(r"^viscous_friction  .*", text, re.M)
         assert len(rows) == parts
         assert "all 6 joints" in rows[0] and re.search(r"\d %", rows[-1])
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_long_names_are_wrapped_and_numbers_are_whole(width):
+    joints = [f"left_arm_{name}_motor_side_joint" for name in ("shoulder_pitch", "elbow_pitch")]
+    numbers = "2.497 ± 0.029 ± 0.021", "−0.01002 ± 0.00012 ± 0.00007", "0.1201 ± 0.0014 ± 0.0008"
+    head, console = ("joint", "mass, kg", "CoM x, m", "CoM y, m"), terminal_of(width)
+    table = Table(head, [cells(joint, *numbers) for joint in joints])
+    show_section(console, Section("Payload", tables=(table,)))
+    text = console.file.getvalue()
+    assert max(map(len, text.splitlines())) <= width
+    assert all(text.count(number) == 2 for number in numbers)
+    parts = sum({*line} == {"─"} for line in text.splitlines())
+    names = "".join(line.split("  ")[0] for line in text.splitlines())
+    assert names.count("".join(joints)) == parts == {60: 3, 80: 2, 120: 1}[width]
 
 
 def test_terminal_and_page_say_the_same(model, added, compared):
