@@ -28,6 +28,7 @@ from geodrake.effects.column_checks import rows_of, stacked
 from geodrake.effects.declarations import (
     PLACES,
     CheckedFields,
+    FileTerm,
     Parameter,
     Proposer,
     Role,
@@ -43,6 +44,7 @@ __all__ = [
     "Array",
     "BodyEffect",
     "Effect",
+    "FileTerm",
     "FittedEffect",
     "JointEffect",
     "JointMotion",
@@ -109,6 +111,7 @@ class Effect(CheckedFields, abc.ABC):
             motor's effort. Passive joints do not have it.
         by_drive: Whether the drive causes it, so that no robot file can describe it.
         taken_out_as: Name used by drives that subtract it from the efforts they report.
+        file_term: Its names in model files and fits of servos.
     """
 
     name: ClassVar[str]
@@ -135,6 +138,7 @@ class Effect(CheckedFields, abc.ABC):
     of_motor: ClassVar[bool] = False
     by_drive: ClassVar[bool] = False
     taken_out_as: ClassVar[str] = ""
+    file_term: ClassVar[FileTerm] = FileTerm()
 
     @property
     def where(self) -> tuple[str, ...]:
@@ -356,6 +360,11 @@ class JointEffect(Effect):
 
     joint: str
     places: ClassVar[str] = "joint"
+
+    @classmethod
+    def fitted(cls, joint: str, value: float, deviation: float) -> FittedEffect:
+        """Return the effect with the value and standard deviation of its only parameter."""
+        return FittedEffect(cls.shaped(joint)[0], np.array([value]), np.array([deviation]))
 
     @abc.abstractmethod
     def columns(self, joint: JointMotion) -> Sequence[ArrayLike]:

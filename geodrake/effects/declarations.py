@@ -76,6 +76,14 @@ PLACES = {
 """The kinds of places by their name, `Effect.places`."""
 
 
+class FileTerm(NamedTuple):
+    """Names of an effect in model files and fits of servos; empty where it does not occur."""
+
+    words: str = ""  # in notes on a model file, with shape parameters in braces
+    joint: str = ""  # property of a joint in files of all formats
+    servo: str = ""  # parameter of a `ServoFit`
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One linear parameter of an effect: its name, SI unit and admissible interval.

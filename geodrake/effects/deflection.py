@@ -20,14 +20,12 @@ from geodrake.effects.base import (
     Values,
 )
 from geodrake.errors import ArgumentError
-from geodrake.logs.filtering import differentiate
 from geodrake.robot.effort_slopes import EffortSlopes
 
 SPRING_DAMPING = 0.05
 """Default damping ratio of joint springs."""
 
 _DEGREE = 5
-_UNIFORM = 1e-6  # largest difference of time steps, over their mean
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +44,6 @@ class Deflection:
         """
         if time is None or len(lag) <= _DEGREE:
             return cls(lag, np.zeros_like(lag), np.zeros_like(lag))
-        period = float(time[-1] - time[0]) / (len(time) - 1)
-        if np.ptp(np.diff(time)) <= _UNIFORM * period:
-            return cls(lag, *(differentiate(lag, period, order=order) for order in (1, 2)))
         spline = make_interp_spline(time, lag, k=_DEGREE)
         return cls(lag, np.asarray(spline(time, 1)), np.asarray(spline(time, 2)))
 

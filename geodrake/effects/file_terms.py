@@ -14,7 +14,6 @@ Delay = effects.EffortDelay
 Drag = effects.NonlinearViscousFriction
 DryFriction = effects.CoulombFriction
 Ellipsoid = of_files.EllipsoidDrag
-LoadFriction = of_files.SquaredLoadFriction
 Medium = of_files.MediumDrag
 Offset = effects.EffortOffset
 Polynomial = of_files.PolynomialSpring

@@ -11,6 +11,7 @@ import numpy as np
 from geodrake.effects.base import (
     Array,
     Effect,
+    FileTerm,
     JointEffect,
     JointMotion,
     JointPairEffect,
@@ -33,6 +34,7 @@ class ViscousFriction(JointEffect):
     """
 
     name = "viscous_friction"
+    file_term = FileTerm("damping", joint="damping", servo="damping")
     taken_out_as = "friction"
     law = "c v"
     complexity = 0
@@ -53,6 +55,7 @@ class CoulombFriction(JointEffect):
     """
 
     name = "coulomb_friction"
+    file_term = FileTerm("dry friction", joint="friction", servo="coulomb")
     taken_out_as = "friction"
     law = "F sgn v, smoothed below a speed that `explain` finds where it matters"
     complexity = 0
@@ -179,6 +182,7 @@ class NonlinearViscousFriction(JointEffect):
     exponent: float
 
     name = "nonlinear_viscous_friction"
+    file_term = FileTerm("damping of the power {exponent:g}")
     taken_out_as = "friction"
     law = "c |v|^α sgn v"
     shapes = (Shape("exponent", grid=(0.5, 1.5, 2.0, 3.0)),)
@@ -311,6 +315,7 @@ class CoupledFriction(SharedActuatorEffect):
     sign: int = 1
 
     name = "coupled_friction"
+    file_term = FileTerm("dry friction of tendons")
     of_motor = True
     taken_out_as = "friction"
     law = (

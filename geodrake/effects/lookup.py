@@ -11,7 +11,7 @@ from types import ModuleType
 from typing import Any
 
 from geodrake.boundary.arguments import instance, instances
-from geodrake.effects.base import Effect
+from geodrake.effects.base import Effect, JointEffect
 from geodrake.effects.declarations import PLACES, Role, whole_numbers
 from geodrake.errors import ArgumentError
 
@@ -30,6 +30,13 @@ def catalogue() -> tuple[type[Effect], ...]:
 def file_effects() -> tuple[type[Effect], ...]:
     """Return the effects that come from model files only; no diagnosis proposes them."""
     return tuple(effects_in(import_module(f"{__package__}.of_files")))
+
+
+@cache
+def servo_effects() -> dict[str, type[JointEffect]]:
+    """Return the effects of a joint that a fit of its servo estimates, by parameter."""
+    known = (*catalogue(), *file_effects())
+    return {e.file_term.servo: e for e in known if issubclass(e, JointEffect) and e.file_term.servo}
 
 
 def effects_in(module: ModuleType) -> list[type[Effect]]:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from geodrake.compiling import compiled, contiguous
 from geodrake.effects.base import (
     Array,
+    FileTerm,
     FittedEffect,
     JointEffect,
     JointMotion,
@@ -48,6 +49,7 @@ class JointSpring(JointEffect):
     center: float = 0.0
 
     name = "joint_spring"
+    file_term = FileTerm("spring", joint="stiffness")
     law = "k (q − q_c)ⁿ + preload"
     complexity = 1
     shapes = (Shape("exponent", grid=(1, 3)), Shape("center", "rad"))
@@ -128,6 +130,7 @@ class RotorInertia(JointEffect):
     """
 
     name = "rotor_inertia"
+    file_term = FileTerm("reflected rotor inertia", joint="armature", servo="armature")
     of_motor = True
     taken_out_as = "rotor inertia"
     law = "I v̇"
@@ -152,6 +155,7 @@ class CoupledRotorInertia(SharedActuatorEffect):
     """
 
     name = "coupled_rotor_inertia"
+    file_term = FileTerm("rotor inertia of tendons")
     of_motor = True
     taken_out_as = "rotor inertia"
     law = "I v̇_j on joint i and I v̇_i on joint j; of any two joints, like `coupled_friction`"

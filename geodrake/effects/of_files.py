@@ -13,6 +13,7 @@ from geodrake.effects.base import (
     Array,
     BodyEffect,
     Effect,
+    FileTerm,
     FittedEffect,
     JointEffect,
     JointMotion,
@@ -86,6 +87,7 @@ class PolynomialSpring(_FileEffect, JointEffect):
     center: float = 0.0  # q_c, rad or m
 
     name = "polynomial_spring"
+    file_term = FileTerm("spring")
     law = "p + k₁ x + k₂ x² + k₃ x³, x = q − q_c"
     complexity = 3
     shapes = (Shape("center", "rad"),)
@@ -124,6 +126,7 @@ class SquaredLoadFriction(_FileEffect, JointEffect):
     braking_load: float  # N·m or N
 
     name = "squared_load_friction"
+    file_term = FileTerm(servo="load")
     of_motor = True
     taken_out_as = "friction"
     label = "squared-load friction"
@@ -137,10 +140,10 @@ class SquaredLoadFriction(_FileEffect, JointEffect):
     positive = ("braking_load",)
 
     @classmethod
-    def fitted(cls, joint: str, factor: float, deviation: float) -> FittedEffect:
+    def fitted(cls, joint: str, value: float, deviation: float) -> FittedEffect:
         """Return the effect for a factor k and its standard deviation, 1/(N·m)."""
-        effect = cls(joint, BRAKING_SHARE / factor)
-        return FittedEffect(effect, np.array([factor]), np.array([deviation]))
+        effect = cls(joint, BRAKING_SHARE / value)
+        return FittedEffect(effect, np.array([value]), np.array([deviation]))
 
     @property
     def manifold(self) -> Interval:
@@ -164,6 +167,7 @@ class JointCoupling(JointPairEffect):
     """
 
     name = "joint_coupling"
+    file_term = FileTerm("coupling by tendons")
     law = "k q_j + d v_j on joint i, and k q_i + d v_i on joint j"
     complexity = 3
     parameters = (Parameter("stiffness", "N·m/rad"), Parameter("damping", "N·m·s/rad"))
@@ -262,6 +266,7 @@ class MediumDrag(_FluidForces):
     """
 
     name = "medium_drag"
+    file_term = FileTerm("medium")
     law = "drag of a medium on a box: ρ of the squares of v and ω, β of v and ω"
 
     def resistance(self, v: Array, w: Array) -> tuple[Array, Array]:
@@ -305,6 +310,7 @@ class EllipsoidDrag(_FluidForces):
     inertia_z: float = 0.0
 
     name = "ellipsoid_drag"
+    file_term = FileTerm("medium of ellipsoids")
     law = "drag, lift and added mass of an ellipsoid: ρ of squares of v and ω, β of v and ω"
     shapes = (
         *_FluidForces.shapes,
@@ -349,6 +355,7 @@ class AddedMass(_Numbered, BodyEffect):
     """
 
     name = "added_mass"
+    file_term = FileTerm("added mass")
     law = "s of the inertia that still fluid adds to a body, a matrix (6, 6)"
     complexity = 3
     parameters = (Parameter("share", "1", lower=0.0),)
@@ -415,6 +422,7 @@ class CarriedWeight(_FileEffect, _BodyPair):
     z: float = 0.0
 
     name = "carried_weight"
+    file_term = FileTerm("carried weight")
     law = "m (J − J′)ᵀ g at a point of a body that another one carries, against its weight"
     complexity = 3
     shapes = tuple(Shape(axis, "m") for axis in "xyz")
@@ -449,6 +457,7 @@ class Strut(_FileEffect, _BodyPair):
     other_z: float = 0.0
 
     name = "strut"
+    file_term = FileTerm("tendon")
     law = "(k L + p + d L̇) ∂L/∂q, L the distance of two points"
     complexity = 3
     shapes = tuple(Shape(name, "m") for name in ("x", "y", "z", "other_x", "other_y", "other_z"))
@@ -501,6 +510,7 @@ class Tendon(_Numbered):
     bodies: tuple[str, ...]  # of A, of B and of the sphere or cylinder, of each part; or "world"
 
     name = "tendon"
+    file_term = FileTerm("tendon of several parts")
     places = "body_path"
     law = "(k L + p + d L̇) ∂L/∂q, L the weighted length of several parts, perhaps around shapes"
     complexity = 3
@@ -664,6 +674,7 @@ class BallSpring(_FileEffect, _BodyPair):
     turn_z: float = 0.0
 
     name = "ball_spring"
+    file_term = FileTerm("spring of a ball joint")
     law = "k (J − J′)ᵀ φ, φ the rotation of a body in another one"
     complexity = 3
     shapes = tuple(Shape(f"turn_{axis}") for axis in "wxyz")

@@ -14,6 +14,7 @@ from geodrake.effects.base import (
     Array,
     BodyEffect,
     Effect,
+    FileTerm,
     JointEffect,
     JointMotion,
     Parameter,
@@ -34,6 +35,7 @@ class EffortOffset(JointEffect):
     """
 
     name = "effort_offset"
+    file_term = FileTerm(servo="offset")
     of_motor = True
     law = "o"
     complexity = 0

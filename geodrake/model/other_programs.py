@@ -24,7 +24,6 @@ from pydrake.math import RollPitchYaw, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Joint, MultibodyForces
 
-from geodrake.effects.file_terms import CoupledDry, DryFriction
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
@@ -175,7 +174,7 @@ def with_mujoco(
     program = by_mujoco(theirs, held, joint_units(model.plant))
     if isinstance(program, str):
         return program
-    smooth = [f for f in model.effects if not isinstance(f.effect, DryFriction | CoupledDry)]
+    smooth = [f for f in model.effects if not f.effect.jumps]
     ours = replace(model, effects=tuple(smooth)).effort(Motion(*states))
     return program.by, program.efforts_of(model.coordinates, states), ours
 

@@ -35,6 +35,7 @@ from geodrake.effects.file_terms import (
     StrutEffect,
     TendonPath,
 )
+from geodrake.effects.lookup import catalogue, file_effects
 from geodrake.effects.of_files import PART
 from geodrake.inertia import Array, from_spatial_inertia
 from geodrake.inertia.bodies import lumped_bodies
@@ -45,25 +46,6 @@ from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.plant import LoadedPlant, scoped_joint_names
 
 _LEAST = 1e-100  # SI units; smaller values count as zero, as their squares underflow
-_WORDS: Mapping[type[Effect], str] = {
-    Damping: "damping",
-    DryFriction: "dry friction",
-    Rotor: "reflected rotor inertia",
-    Drag: "damping of the power {exponent:g}",
-    Spring: "spring",
-    Polynomial: "spring",
-    Coupling: "coupling by tendons",
-    CoupledRotor: "rotor inertia of tendons",
-    CoupledDry: "dry friction of tendons",
-    Carried: "carried weight",
-    StrutEffect: "tendon",
-    TendonPath: "tendon of several parts",
-    Ball: "spring of a ball joint",
-    AddedMass: "added mass",
-    Medium: "medium",
-    Ellipsoid: "medium of ellipsoids",
-}
-"""Names of effects in files, in the order of a model's effects."""
 
 
 class StatedEffects:
@@ -123,7 +105,7 @@ class StatedEffects:
                 self.add(Polynomial(name, spring.center), *spring.coefficients)
         groups = defaultdict[tuple[str, str], list[FittedEffect]](list)
         for effect in sorted(self._sums, key=self._rank):
-            values, words = self._sums[effect], _WORDS[type(effect)].format(**effect.shape)
+            values, words = self._sums[effect], effect.file_term.words.format(**effect.shape)
             how = f"is kept as {effect.name}"
             if np.abs(values).max() < _LEAST:
                 how = "is negligible and ignored"
@@ -137,8 +119,8 @@ class StatedEffects:
 
     def _rank(self, effect: Effect) -> tuple[int, float, int]:
         """Return an effect's sorting key: kind, power, place."""
-        kind, power = list(_WORDS).index(type(effect)), effect.shape.get("exponent") or 0.0
-        return kind, power, self._at.get(effect.where[0], len(self._at))
+        known, power = (*catalogue(), *file_effects()), effect.shape.get("exponent") or 0.0
+        return known.index(type(effect)), power, self._at.get(effect.where[0], len(self._at))
 
 
 def _places(loaded: LoadedPlant, coordinates: RobotCoordinates) -> dict[str, Following]:

@@ -24,10 +24,8 @@ from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from geodrake.boundary.input_files import read_regular
-from geodrake.control.export_proof.joints import ExportedJoint, exported_joints
+from geodrake.control.export_proof.joints import POSITIVE_TERMS, ExportedJoint, exported_joints
 from geodrake.control.export_proof.reference import Drives
-from geodrake.effects import Effect
-from geodrake.effects.file_terms import Damping, DryFriction, Rotor, Spring
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.model.dynamics_check import second_opinion
@@ -48,7 +46,7 @@ class Engine(abc.ABC):
     """
 
     package: ClassVar[str]  # required package
-    ignores: tuple[type[Effect], ...] = ()  # effects in the file that it does not simulate
+    ignores: tuple[str, ...] = ()  # properties of joints in the file that it does not simulate
     of_plant: ClassVar[bool] = False  # whether joints are those of the plant, including followers
     name: str
     drives: Drives | None = None  # actuators through which efforts of rollouts are applied
@@ -85,7 +83,7 @@ class DrakeEngine(Engine):
 
     package = "pydrake"
     of_plant = True
-    ignores: tuple[type[Effect], ...] = (DryFriction,)
+    ignores: tuple[str, ...] = ("friction",)
 
     def __init__(self, file: Path, model: RobotModel) -> None:
         self.name = f"Drake {version('drake')}"
@@ -103,7 +101,7 @@ class DrakeEngine(Engine):
             self._plant.Finalize()
             self._diagram = builder.Build()
         if self._plant.num_force_elements() == 1:  # gravity
-            self.ignores = (DryFriction, Spring)  # a URDF's springs may be for Gazebo only
+            self.ignores = ("friction", "stiffness")  # a URDF's springs may be for Gazebo only
         warnings = (message.partition("\n")[0].rpartition("warning: ")[2] for message in messages)
         self.messages = tuple(dict.fromkeys(warnings))
         plant, names = self._plant, joint_names(self._plant)
@@ -325,7 +323,7 @@ class PinocchioEngine(Engine):
     """A Pinocchio model of the rigid bodies only, as used by `geodrake check`."""
 
     package = "pinocchio"
-    ignores = (DryFriction, Rotor, Damping, Spring)
+    ignores = (*POSITIVE_TERMS, "stiffness")
 
     def __init__(self, file: Path, model: RobotModel) -> None:
         self._loaded = load_description(file, held=model.held)

@@ -30,9 +30,8 @@ from geodrake.control.export_proof.reference import (
 )
 from geodrake.control.rollout import case_rollout
 from geodrake.control.rollout.passages import commanded_joints
-from geodrake.effects.file_terms import DryFriction
 from geodrake.errors import LogError, ModelError, OutputError
-from geodrake.identification.logs.case import Case, open_case, reduce_fitted
+from geodrake.identification.logs.case import Case, prepare_case, reduce_fitted
 from geodrake.identification.logs.compare import comparison
 from geodrake.inertia import Array
 from geodrake.logs.motion import JointLog, Motion
@@ -132,7 +131,7 @@ def export_with_proof(
     model = model.with_volume  # as simulators reject or change point masses
     if bandwidth is not None:
         number(bandwidth, "bandwidth", lower=0.0)
-    case = open_case(model, logs, candidates=False, bandwidth=bandwidth) if len(logs) else None
+    case = prepare_case(model, logs, candidates=False, bandwidth=bandwidth) if len(logs) else None
     is_testable = not model.floating and len(model.single_joints) == len(model.joints)
     if case is not None:
         motions = logged_motions(model, case.trajectories)
@@ -356,7 +355,9 @@ def prove(
         except ModelError as error:
             notes.append(f"the export was not tested: {error.problem}")
             continue
-        excluded = (f.effect.name for f in held.effects if isinstance(f.effect, engine.ignores))
+        excluded = (
+            f.effect.name for f in held.effects if f.effect.file_term.joint in engine.ignores
+        )
         names = tuple(dict.fromkeys(excluded))
         ignored = names if ignored is None else ignored
         of_engine = [_effort_difference(held, engine, motion, names)]
@@ -401,7 +402,7 @@ def _rollout_difference(
         return None
     error = np.abs(np.array(simulated) - expected).reshape(-1, expected.shape[-1])
     displacement = (expected - expected[:, :1]).reshape(error.shape)
-    dry = (f.effect.name for f in held.effects if isinstance(f.effect, DryFriction))
+    dry = (f.effect.name for f in held.effects if f.effect.file_term.joint == "friction")
     names = tuple(dict.fromkeys([*names, *dry]))
     return Difference(engine.name, "position", *_largest(error, displacement, held), 1.0, names)
 

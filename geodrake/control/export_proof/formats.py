@@ -23,7 +23,7 @@ from geodrake.control.export_proof.engines import (
     PythonEngine,
 )
 from geodrake.control.export_proof.held import Holds
-from geodrake.control.export_proof.joints import exported_joints
+from geodrake.control.export_proof.joints import POSITIVE_TERMS, exported_joints
 from geodrake.control.export_proof.model_text import (
     model_file,
     own_kind,
@@ -33,15 +33,7 @@ from geodrake.control.export_proof.model_text import (
     written_kind,
 )
 from geodrake.effects import Effect
-from geodrake.effects.file_terms import (
-    Damping,
-    Delay,
-    DryFriction,
-    Rotor,
-    Spring,
-    StaticFriction,
-    Tilt,
-)
+from geodrake.effects.file_terms import Delay, Spring, StaticFriction, Tilt
 from geodrake.errors import ArgumentError, ModelError, nearest
 from geodrake.model.export import repair_comments
 from geodrake.model.robot_model import RobotModel
@@ -177,7 +169,6 @@ def isaac_files(model: RobotModel, held: RobotModel, folder: Path) -> Exported:
     return Exported({name: data, f"{stem}.actuators.json": values}, (*notes, note))
 
 
-_JOINT_TERMS = (Damping, DryFriction, Rotor)
 _WITH_SPRINGS = frozenset({"sdf", "xml"})  # file formats that support springs
 _DRAKE_KINDS = ("sdf", "urdf")  # file formats for directives, the default first
 
@@ -204,7 +195,7 @@ def _holding(
         def holds(effect: Effect) -> bool:
             if isinstance(effect, Spring):
                 return effect.joint in sprung and effect.exponent == 1
-            return isinstance(effect, (*_JOINT_TERMS, *more))
+            return effect.file_term.joint in POSITIVE_TERMS or isinstance(effect, more)
 
         return holds
 

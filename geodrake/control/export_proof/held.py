@@ -9,18 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from geodrake.effects import Effect, FittedEffect, RobotMotion, Role
-from geodrake.effects.file_terms import Damping, DryFriction, Offset, Rotor, Spring, Tilt
+from geodrake.control.export_proof.joints import POSITIVE_TERMS
+from geodrake.effects import Effect, FittedEffect, JointEffect, RobotMotion, Role, catalogue
+from geodrake.effects.file_terms import Offset, Spring, Tilt
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 Holds = Callable[[Effect], bool]
 """Whether a format can express an effect."""
-
-Basis = Damping | DryFriction | Rotor
-_BASES: tuple[type[Basis], ...] = (Damping, DryFriction, Rotor)
-"""Effects that approximate others."""
 
 _LEAST_REDUCTION = 0.1  # of an effect's mean square, required of its approximation
 
@@ -70,7 +67,13 @@ def held_by(
         else:
             (kept if is_kept else lost).append(fitted)
     merged, into = _merged(kept), dict[Effect, tuple[str, ...]]()
-    bases = [kind for kind in _BASES if holds(kind(model.joints[0]))]
+    bases = [
+        kind
+        for kind in catalogue()
+        if issubclass(kind, JointEffect)
+        and kind.file_term.joint in POSITIVE_TERMS
+        and holds(kind(model.joints[0]))
+    ]
     if bases and motions:
         robot_motions = [model.motion(motion) for motion in motions]
         for joint in model.single_joints:
@@ -111,7 +114,7 @@ def _approximations(
     lost: Sequence[FittedEffect],
     held: Mapping[Effect, FittedEffect],
     motions: Sequence[RobotMotion],
-    bases: Sequence[type[Basis]],
+    bases: Sequence[type[JointEffect]],
 ) -> tuple[dict[Effect, FittedEffect], dict[Effect, tuple[str, ...]]]:
     """Return the basis effects of a joint, changed to approximate its lost effects.
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from geodrake.effects import Effect
-from geodrake.effects.file_terms import Damping, DryFriction, Rotor, Spring
+from geodrake.effects.file_terms import Spring
 from geodrake.model.robot_model import RobotModel, from_loaded_plant
 from geodrake.model.servos import servos_of
 from geodrake.robot.files.checks import words
@@ -19,12 +18,9 @@ from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.model_edits import EditedFile
 from geodrake.robot.plant import load_plant, scoped_joint_names
 
-_TERMS: Mapping[type[Effect], str] = {
-    Damping: "damping",
-    DryFriction: "friction",
-    Rotor: "armature",
-}
-_NUMBERS = ("damping", "friction", "armature", "stiffness", "rest")
+POSITIVE_TERMS = ("damping", "friction", "armature")
+"""Properties that files of all formats have for each joint."""
+_NUMBERS = (*POSITIVE_TERMS, "stiffness", "rest")
 _UNCHANGED = 1e-13  # relative difference below which a number is unchanged
 
 
@@ -69,7 +65,7 @@ def exported_joints(model: RobotModel) -> dict[str, ExportedJoint]:
     for fitted in model.effects:
         effect = fitted.effect
         terms = values.get(effect.where[0], {}) if effect.where else {}
-        if (term := _TERMS.get(type(effect))) is not None:
+        if (term := effect.file_term.joint) in POSITIVE_TERMS:
             terms[term] = terms.get(term, 0.0) + float(fitted.parameters[0])
         elif isinstance(effect, Spring) and effect.exponent == 1 and fitted.parameters[0]:
             stiffness, preload = fitted.parameters.tolist()

@@ -9,8 +9,6 @@ import numpy as np
 
 from geodrake.control.export_proof.joints import exported_joints
 from geodrake.control.rollout.passages import Passage
-from geodrake.effects import Effect
-from geodrake.effects.file_terms import DryFriction
 from geodrake.inertia import Array
 from geodrake.logs.motion import Motion, Trajectory
 from geodrake.model.robot_model import RobotModel
@@ -83,9 +81,9 @@ class Drives:
         return np.asarray(first + (position - index) * (second - first))
 
 
-def without(model: RobotModel, kinds: tuple[type[Effect], ...]) -> RobotModel:
-    """Return a model without effects of some kinds, and with unsmoothed dry friction."""
-    effects = tuple(f for f in model.effects if not isinstance(f.effect, kinds))
+def without(model: RobotModel, properties: Sequence[str]) -> RobotModel:
+    """Return a model without some properties of joints, and with unsmoothed dry friction."""
+    effects = tuple(f for f in model.effects if f.effect.file_term.joint not in properties)
     return replace(model, effects=effects, information=None, fading_speed=None)
 
 
@@ -101,7 +99,7 @@ def roll_out_all(
     Returns:
         (W, K + 1, nv) positions, rad or m.
     """
-    smooth = without(model, (DryFriction,))
+    smooth = without(model, ["friction"])
     drives = Drives.of(model, ()) if drives is None else drives
     q, v = np.array([start.q for start in starts]), np.array([start.v for start in starts])
     controls = np.array([drives.controls(start.q, start.effort) for start in starts])
@@ -190,8 +188,8 @@ def logged_starts(held: RobotModel, trajectories: Sequence[Trajectory]) -> list[
         part = stretch[start : start + count]
         effort = part.effort.copy()
         for fitted in held.effects:
-            if isinstance(fitted.effect, DryFriction):
-                joint = held.joints.index(fitted.effect.joint)
+            if fitted.effect.file_term.joint == "friction":
+                joint = held.joints.index(fitted.effect.where[0])
                 effort[:, joint] -= fitted.parameters[0] * np.sign(part.velocity[:, joint])
         columns = [np.interp(time, part.time - part.time[0], column) for column in effort.T]
         starts.append(Start(part.position[0], part.velocity[0], np.array(columns).T))

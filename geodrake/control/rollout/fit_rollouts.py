@@ -39,13 +39,14 @@ from geodrake.control.rollout.roll_out import (
     check_windows,
 )
 from geodrake.control.rollout.simulation import simulations
+from geodrake.effects.lookup import servo_effects
 from geodrake.errors import LogError
-from geodrake.identification.logs.case import Case, checked_logs, open_case
+from geodrake.identification.logs.case import Case, checked_logs, prepare_case
 from geodrake.identification.logs.criteria import TIE
 from geodrake.identification.logs.evidence import tie_probability
 from geodrake.identification.logs.servo_fit import ServoFit
 from geodrake.identification.logs.servo_motion import PARAMETERS
-from geodrake.identification.logs.signal_calibration import BESIDE, with_servo_motions
+from geodrake.identification.logs.signal_calibration import with_servo_motions
 from geodrake.inertia import Array
 from geodrake.logs.motion import JointLog
 from geodrake.model.effort_signal import COMMAND, SERVO, signal_of
@@ -164,7 +165,7 @@ def fit_rollouts(
     checked_logs(model, logs, (), None, None)
     soft = not commands or is_soft(model)
     values = rollout_values(model, commands=commands) if soft else ()
-    case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
+    case = prepare_case(model, logs, candidates=False, bandwidth=bandwidth)
 
     def simulate(model: RobotModel, name: str) -> Rollout:
         named_progress = progress and (lambda words, share: progress(f"{name}: {words}", share))
@@ -347,8 +348,7 @@ def _servo_values(model: RobotModel, fits: dict[str, ServoFit]) -> tuple[FittedV
     for joint, fit in fits.items():
         servo = signal_of(model.effort_signals, joint)
         for name, after, deviation in zip(PARAMETERS, fit.parameters, fit.deviations, strict=True):
-            if name in BESIDE:
-                kind = BESIDE[name]
+            if (kind := servo_effects().get(name)) is not None:
                 effect, field = kind.name, kind.parameters[0].name
                 before = next(
                     (

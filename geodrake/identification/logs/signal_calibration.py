@@ -9,10 +9,10 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.effects import FittedEffect, Role, catalogue
-from geodrake.effects.base import JointEffect, Parameter, RobotEffect
+from geodrake.effects import Role, catalogue
+from geodrake.effects.base import Parameter, RobotEffect
 from geodrake.effects.declarations import when_sliding
-from geodrake.effects.file_terms import Damping, DryFriction, LoadFriction, Offset, Rotor
+from geodrake.effects.lookup import servo_effects
 from geodrake.effects.robot_motion import RobotMotion, log_number
 from geodrake.errors import LogError
 from geodrake.identification.logs.effort_gains import (
@@ -403,20 +403,10 @@ def signal_by_motion(signal: EffortSignal, fit: ServoFit) -> EffortSignal:
         rate_share=fit.rate_share,
         effect_deviations={
             kind.name: float(spread[PARAMETERS.index(name)])
-            for name, kind in BESIDE.items()
-            if kind is not LoadFriction
+            for name, kind in servo_effects().items()
+            if kind in catalogue()
         },
     )
-
-
-BESIDE: Mapping[str, type[JointEffect]] = {
-    "damping": Damping,
-    "coulomb": DryFriction,
-    "armature": Rotor,
-    "offset": Offset,
-    "load": LoadFriction,
-}
-"""Parameters of a `ServoFit` that are effects of the joint."""
 
 
 def with_servo_motions(
@@ -441,20 +431,17 @@ def with_servo_motions(
             gain_deviation = signal.uncertainty * fit.parameters[0]
             signals[joint] = replace(signal_by_motion(signal, fit), deviation=gain_deviation)
             fits[joint] = fit.with_gain_uncertainty(signal.uncertainty)
-    kinds = tuple(BESIDE.values())
+    kinds = tuple(servo_effects().values())
     effects = [
         fitted
         for fitted in model.effects
         if not (isinstance(fitted.effect, kinds) and fitted.effect.where[0] in fits)
     ]
     for joint, fit in fits.items():
-        for name, kind in BESIDE.items():
-            index = [PARAMETERS.index(name)]
-            value, deviation = fit.parameters[index], fit.deviations[index]
-            if value.any() and kind is LoadFriction:
-                effects.append(LoadFriction.fitted(joint, value.item(), deviation.item()))
-            elif value.any():
-                effects.append(FittedEffect(kind.shaped(joint)[0], value, deviation))
+        values = zip(PARAMETERS, fit.parameters.tolist(), fit.deviations.tolist(), strict=True)
+        for name, value, deviation in values:
+            if name in servo_effects() and value:
+                effects.append(servo_effects()[name].fitted(joint, value, deviation))
     return replace(model, effects=tuple(effects), effort_signals=tuple(signals.values())), fits
 
 
