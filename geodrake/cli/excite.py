@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.boundary.arguments import number, one_of, positive
+from geodrake.boundary.arguments import one_of, positive
 from geodrake.cli.command import Command, Input, Output, run
 from geodrake.cli.identify import named_effects
 from geodrake.cli.input_options import number_in, pairs, split_effects
@@ -41,7 +41,7 @@ from geodrake.excitation.stance import Foot
 from geodrake.excitation.starts import below_floor
 from geodrake.excitation.target import SIZE_WORDS, WRENCH, usual_noise, usual_target
 from geodrake.excitation.tell_apart import Placed, separation_of
-from geodrake.excitation.trajectory import trajectory_content
+from geodrake.excitation.trajectory import check_rate, trajectory_content
 from geodrake.inertia import Array
 from geodrake.logs.motion import SIGNAL_KINDS
 from geodrake.model.robot_model import RobotModel
@@ -52,18 +52,6 @@ _MARGIN = 0.9  # of the velocity limits, by default
 _LEAST_SECONDS = 1e-3  # if collision geometry took all the time
 _UPDATED_EVERY = 5  # evaluations
 _SAMPLES = 300
-_RANGES = {
-    "seeds": (1, 1000),
-    "seconds": (1e-3, 1e6),
-    "iterations": (1, 1e6),
-    "rate": (1e-3, 1e4),
-    "samples": (1, 10_000),
-    "clearance": (0.0, 100.0),
-    "friction": (1e-3, 100.0),
-    "frequency": (1e-6, np.inf),
-    "seed": (0, 2**32 - 1),
-}
-"""Option -> its smallest and largest value."""
 _FORM = "Write EFFECT,EFFECT; either may have a place: EFFECT@elbow."
 _PLATE_SHARE, _PLATE_ARM = 0.01, 0.15  # of the weight; m
 _PLATE_NOISE = np.array([*3 * [_PLATE_ARM], *3 * [1.0]])  # moments and forces, over the force
@@ -83,10 +71,18 @@ def run_excite(options: ExciteOptions) -> None:
     files, names = split_effects(options.effects)
     _check(options, names)
     family = family_of(options)
+    if family.timed:
+        check_rate(options.rate, family.length)
+    design = DesignOptions(
+        samples=_SAMPLES if options.samples is None else options.samples,
+        solver=options.solver,
+        iterations=options.iterations,
+        seconds=options.seconds,
+    )
     command = Command(
         "excite",
         "Designing",
-        lambda given: _designed(options, given, names, family),
+        lambda given: _designed(options, given, names, family, design),
         outputs={
             "save": Output(
                 "motion",
@@ -142,7 +138,9 @@ def family_of(options: ExciteOptions) -> MotionFamily:
     if name == "spline":
         return SplineMotion(options.duration, 16 if options.points is None else options.points)
     frequency = options.frequency
-    if frequency is None and options.tell_apart is not None and 0 < options.duration < np.inf:
+    if frequency is not None:
+        positive(frequency, "--frequency")  # in Hz
+    elif options.tell_apart is not None and 0 < options.duration < np.inf:
         frequency = _REPEATS / options.duration
     rate = None if frequency is None else 2.0 * np.pi * frequency
     harmonics = 5 if options.harmonics is None else options.harmonics
@@ -153,9 +151,6 @@ def _check(options: ExciteOptions, names: Sequence[str]) -> None:
     """Raise for invalid options, before the model is read."""
     one_of(options.criterion, "--criterion", CRITERIA)
     one_of(options.normalization, "--normalization", NORMALIZATIONS)
-    for name, (least, most) in _RANGES.items():
-        value = getattr(options, name)
-        number(least if value is None else value, f"--{name}", lower=least, upper=most)
     if options.feet is None and options.force_plate:
         raise ArgumentError("--force-plate measures under feet.", advice="Add --feet LINK,LINK.")
     if options.force_plate and (names or options.tell_apart is not None):
@@ -181,7 +176,11 @@ def _check(options: ExciteOptions, names: Sequence[str]) -> None:
 
 
 def _designed(
-    options: ExciteOptions, given: Input, names: Sequence[str], family: MotionFamily
+    options: ExciteOptions,
+    given: Input,
+    names: Sequence[str],
+    family: MotionFamily,
+    design: DesignOptions,
 ) -> ExcitationResult:
     """Return the designed motion."""
     model, update, motors = given.model, given.progress, motors_of(given.model)
@@ -207,15 +206,9 @@ def _designed(
     if options.meshcat is not None:
         notes = (*notes, *robot_shapes(model.path, model.given).notes)
     objective, more = _objective(options, given, stance, limits, names)
-    design = DesignOptions(
-        samples=_SAMPLES if options.samples is None else options.samples,
-        stance=stance,
-        start=start,
-        stand=stand,
-        collisions=collisions,
-        solver=options.solver,
-        iterations=options.iterations,
-        seconds=max(budget.left, _LEAST_SECONDS),
+    seconds = max(budget.left, _LEAST_SECONDS)
+    design = replace(
+        design, stance=stance, start=start, stand=stand, collisions=collisions, seconds=seconds
     )
     update("Designing")
 

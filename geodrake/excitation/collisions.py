@@ -59,6 +59,7 @@ FLOOR, ITSELF = "floor", "itself"
 _HALF = 10.0, 0.5  # half the width and the depth of a floor, m
 _CONTACT = CoulombFriction(0.5, 0.5)  # unused here, but required by Drake
 _MAX_CORNERS, _GRID = 1000, 2e-4  # hulls with more corners are rounded to a grid, m
+_FARTHEST = 100.0  # m, largest clearance
 _INFLUENCE = 0.05  # m beyond the clearance at which the constraint becomes active
 _POSTURES = 40
 _ALWAYS = 0.9  # share of random postures from which an overlap counts as intended
@@ -303,7 +304,7 @@ class CollisionWorld:
         obstacles = instances(obstacles, "obstacles", Solid)
         links = {} if links is None else instance(links, "links", Mapping)
         links = {body: instances(s, f"links[{body!r}]", Solid) for body, s in links.items()}
-        number(clearance, "clearance", lower=0.0)
+        number(clearance, "clearance", lower=0.0, upper=_FARTHEST)
         file_solids = solids_of_file(model.path, model.given) if use_file else {}
         self.clearance, self._model, self._solids = clearance, model, (file_solids, links)
         self._place(obstacles)

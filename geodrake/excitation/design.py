@@ -157,15 +157,18 @@ def design_excitation(
     budget = Budget.of(options.seconds)
     numbers: Sequence[int]
     if isinstance(seeds, int | np.integer):
-        numbers = range(integer(seeds, "seeds"))
+        numbers = range(integer(seeds, "seeds", lower=1, upper=_MOST_SEEDS))
     else:
-        numbers = integers(seeds, "seeds", lower=0)
+        few = seeds[: _MOST_SEEDS + 1] if isinstance(seeds, range) else seeds
+        numbers = integers(few, "seeds", lower=0)
+        if not 1 <= len(numbers) <= _MOST_SEEDS:
+            found = "more" if numbers else "none"
+            raise ArgumentError(
+                f"seeds must be 1 to {_MOST_SEEDS} integers; there are {found}.", name="seeds"
+            )
     check_solver(options.solver)
-    if not 1 <= len(numbers) <= _MOST_SEEDS or options.sharpness == ():
-        raise ArgumentError(
-            f"A design needs 1 to {_MOST_SEEDS} seeds and at least one stage; got "
-            f"{len(numbers)} seeds and the stages {options.sharpness}."
-        )
+    if options.sharpness == ():
+        raise ArgumentError("A design needs at least one stage; sharpness is ().")
     starts = [*numbers, *([] if options.guess is None else [None])]
     objective = _objective_of(what, criterion, normalization)
     problem, postures = _prepared(objective, limits, trajectory, options)

@@ -38,7 +38,7 @@ from geodrake.effects import Effect
 from geodrake.errors import ArgumentError
 from geodrake.excitation.objective import normalizing_map
 from geodrake.excitation.target import Target, make_target
-from geodrake.identification.logs.case import Case, open_case
+from geodrake.identification.logs.case import Case, prepare_case
 from geodrake.identification.logs.dataset import is_payload
 from geodrake.identification.logs.hypothesis import first_hypothesis, reweight
 from geodrake.identification.logs.log_fits import log_unknowns
@@ -355,7 +355,7 @@ def log_identifiability(
     """
     function(progress, "progress")
     extended = with_effects(instance(model, "model", RobotModel).with_volume, effects)
-    case = open_case(extended, logs, candidates=False, bandwidth=bandwidth, blocks=blocks)
+    case = prepare_case(extended, logs, candidates=False, bandwidth=bandwidth, blocks=blocks)
     progress("Fitting, for noise and sizes of effects")
     fitted, residual_noise = _fitted(case)
     target = make_target(fitted, noise=residual_noise if noise is None else noise)

@@ -30,6 +30,7 @@ from geodrake.robot.stated import WORLD, Closure
 from geodrake.robot.transmission.loop import LoopTransmission, solve_loop
 from geodrake.robot.transmission.schema import Drive
 
+_FRICTION = 1e-3, 100.0  # smallest and largest friction coefficient
 _LEVELLING = 3  # iterations, as lowest points of balls depend on the ground's slope
 _LEVEL = 0.005  # m, tolerance of the points of feet to the plane through them
 _NARROW = 0.005  # m, width below which a polygon supports nothing
@@ -68,7 +69,7 @@ def make_stance(
     """
     instance(robot, "robot", RobotModel)
     feet = instances(feet, "feet", (str, Foot))
-    number(friction, "friction", lower=0.0, strict=True)
+    number(friction, "friction", lower=_FRICTION[0], upper=_FRICTION[1])
     number(margin, "margin", lower=0.0, upper=1.0, strict=True)
     if len(robot.base_joints) != 6:
         raise ArgumentError(

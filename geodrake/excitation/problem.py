@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydrake.solvers import MathematicalProgram
 from scipy.linalg import null_space
 
-from geodrake.boundary.arguments import instance, instances, integer, number, positive, real_array
+from geodrake.boundary.arguments import instance, instances, integer, number, real_array
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.excitation.collisions import CollisionWorld
@@ -85,8 +85,8 @@ class DesignOptions(Short):
 
     def __post_init__(self) -> None:
         integer(self.samples, "samples", lower=1, upper=_MOST_SAMPLES)
-        integer(self.iterations, "iterations", upper=_MOST)
-        positive(self.seconds, "seconds")
+        integer(self.iterations, "iterations", lower=1, upper=_MOST)
+        number(self.seconds, "seconds", lower=0.0, upper=_MOST, strict=True)
         instance(self.quick, "quick", bool)
         instance(self.solver, "solver", str)
         if self.stance is not None:

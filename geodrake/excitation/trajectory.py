@@ -31,6 +31,11 @@ _DEGREE = 5  # of interpolating splines
 _PER_FASTEST = 64  # their intervals per shortest time scale, for errors of about 1e-9
 
 
+def check_rate(rate: float, length: float) -> None:
+    """Raise if a motion of some length, s, cannot be sampled at a rate, 1/s."""
+    number(rate, "rate", lower=0.0, upper=_MOST_INSTANTS / length, strict=True)
+
+
 @dataclass(frozen=True, eq=False)
 class ExcitationTrajectory(Short):
     """Positions of all joints over time, from a family of motions.
@@ -123,12 +128,7 @@ class ExcitationTrajectory(Short):
     def instants(self, rate: float) -> Array:
         """Return instants at a rate (1/s) from start to end; the last step may be shorter."""
         self._require_time("instants")
-        number(rate, "rate", finite=False)
-        if not 0 < rate < np.inf or rate * self.length > _MOST_INSTANTS:
-            raise ArgumentError(
-                f"A rate must be a positive number of samples per second; got {rate}.",
-                advice=f"Use at most {_MOST_INSTANTS / self.length:g} Hz.",
-            )
+        check_rate(rate, self.length)
         times = np.arange(np.ceil(self.length * rate - 1e-9)) / rate
         return np.append(times, self.length)
 
