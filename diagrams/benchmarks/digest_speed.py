@@ -26,7 +26,7 @@ from geodrake.fleet import (
     merge,
     read_digest,
 )
-from geodrake.identification.logs.case import open_case, reduced
+from geodrake.identification.logs.case import prepare_case, reduced
 from geodrake.logs.motion import JointLog, Motion
 from geodrake.model import RobotModel, load_model
 
@@ -66,7 +66,7 @@ def measure(
         path.write_bytes(content)
         works = {
             "made": lambda: digested(first),
-            "reading": lambda: open_case(model, [first], candidates=True, **bands),
+            "reading": lambda: prepare_case(model, [first], candidates=True, **bands),
             "read": lambda: read_digest(path),
         }
         least = {name: min(times) for name, times in cpu_times(works, times).items()}
@@ -87,7 +87,7 @@ def merged_difference(
 ) -> float:
     """Return the largest relative difference of merged digests from a reading of all logs."""
     settings, worst = digests[0].settings, 0.0
-    case = open_case(
+    case = prepare_case(
         model,
         logs,
         candidates=True,

@@ -38,7 +38,7 @@ from geodrake.diagnosis import explain
 from geodrake.diagnosis.drafting import Correlate
 from geodrake.diagnosis.drafting.draft import draft_rest
 from geodrake.diagnosis.explain import Investigation, investigate
-from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.case import prepare_case
 from geodrake.identification.logs.compare import compare
 from geodrake.logs import JointLog
 from geodrake.model import RobotModel
@@ -344,7 +344,7 @@ def score_draw(draw: Draw) -> dict[str, Any]:
     recording = make_recording(draw, engines.robot_model(draw.robot).bodies)
     model = _told(draw, recording)
     began = time.process_time()
-    case = open_case(model, [recording.log], candidates=True)
+    case = prepare_case(model, [recording.log], candidates=True)
     found = investigate(case)
     seconds = time.process_time() - began
     explanation, secrets = found.explanation, recording.secrets

@@ -17,7 +17,7 @@ from geodrake.diagnosis.explain import investigate
 from geodrake.diagnosis.results import Explanation
 from geodrake.effects import effect_class
 from geodrake.errors import LogError, ModelError
-from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.case import prepare_case
 from geodrake.identification.logs.compare import compare
 from geodrake.report.explaining import Explained
 
@@ -111,7 +111,9 @@ def _drafted(given: Input) -> Explained:
 
 
 def _explained(given: Input, *, every_step: bool) -> Explained:
-    case = open_case(given.model, given.logs, candidates=True, extra=given.extra, **given.settings)
+    case = prepare_case(
+        given.model, given.logs, candidates=True, extra=given.extra, **given.settings
+    )
     found = investigate(case, progress=step_teller(given.progress))
     explanation = found.explanation
     if explanation.is_interrupted:

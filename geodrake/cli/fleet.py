@@ -52,7 +52,9 @@ def run_fleet_command(options: FleetOptions) -> None:
         return
 
     def looked(given: Input) -> FleetResult:
-        result, digests = run_fleet(fleet, work, told=given.progress, said=given.progress.history)
+        result, digests = run_fleet(
+            fleet, work, progress=given.progress, report=given.progress.history
+        )
         report_repairs(_SOME_FILE, digests.repairs, given.progress)
         return result
 
@@ -100,7 +102,7 @@ def _look(
 ) -> tuple[FleetDigests, bool]:
     """Process new logs and print new findings; update statistics only if something changed."""
     with progress(f"Reading {fleet.path.name}", quiet=options.quiet) as update:
-        result, digests = look_at_fleet(fleet, work, seen, told=update, said=update.history)
+        result, digests = look_at_fleet(fleet, work, seen, progress=update, report=update.history)
         if result is None:
             return digests, False
         if seen is None:

@@ -139,7 +139,7 @@ def run_digest(options: DigestOptions) -> None:
             wanted=Wanted(options.bandwidth, options.blocks, options.reading, given.extra),
             date=date,
             payloads=known_payloads(options.logs, options.known_payload or (), given.model),
-            told=given.progress,
+            progress=given.progress,
         )
 
     command = Command(

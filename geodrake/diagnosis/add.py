@@ -16,7 +16,7 @@ from geodrake.diagnosis.search import Search
 from geodrake.effects import Effect, Role, effect_class
 from geodrake.effects.user_effects import candidates_of
 from geodrake.errors import ArgumentError, nearest
-from geodrake.identification.logs.case import Case, open_case
+from geodrake.identification.logs.case import Case, prepare_case
 from geodrake.logs.motion import JointLog
 from geodrake.model.holding import why_no_place
 from geodrake.model.robot_model import RobotModel
@@ -50,7 +50,7 @@ def add(
     where = tuple(dict.fromkeys(instances(() if where is None else where, "where", str))) or None
     kind = effect_class(effect, extra)
     _check_effect(kind, model, where)
-    case = open_case(
+    case = prepare_case(
         model,
         logs,
         candidates=True,

@@ -24,7 +24,7 @@ from geodrake.diagnosis.results import Candidate, Diagnosis
 from geodrake.diagnosis.search import SearchResult, find_explanation
 from geodrake.diagnosis.terms import names_and_places
 from geodrake.effects import Effect
-from geodrake.identification.logs.case import Case, error_table, open_case
+from geodrake.identification.logs.case import Case, error_table, prepare_case
 from geodrake.identification.logs.compare import comparison
 from geodrake.identification.logs.criteria import ALARM
 from geodrake.identification.logs.hypothesis import Hypothesis
@@ -57,7 +57,7 @@ def diagnose(
     """
     if beliefs is not None:
         instance(beliefs, "beliefs", Beliefs)
-    case = open_case(
+    case = prepare_case(
         model,
         logs,
         candidates=True,

@@ -31,7 +31,7 @@ from geodrake.diagnosis.steps import steps_of, vanished
 from geodrake.diagnosis.terms import Term
 from geodrake.diagnosis.turned_base import logs_apart_notes, moved_base_notes
 from geodrake.effects import Effect
-from geodrake.identification.logs.case import Case, error_table, open_case
+from geodrake.identification.logs.case import Case, error_table, prepare_case
 from geodrake.identification.logs.compare import comparison
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.model_fit import ModelFit, with_settled_effects
@@ -91,7 +91,7 @@ def explain(
         function(progress, "progress")
     if beliefs is not None:
         instance(beliefs, "beliefs", Beliefs)
-    case = open_case(
+    case = prepare_case(
         model,
         logs,
         candidates=True,

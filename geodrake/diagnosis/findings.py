@@ -327,7 +327,7 @@ def _with_and_without(result: SearchResult, finding: Finding, width: float) -> t
 def affected_joints(result: SearchResult, finding: Finding) -> NDArray[np.bool_]:
     """Return (nv,) whether a finding acts on each joint; all if it is not an effect."""
     data = result.model.dataset
-    masks = [data.felt(effect) for effect in finding.effects]
+    masks = [data.affected_joints(effect) for effect in finding.effects]
     return np.logical_or.reduce(masks) if masks else np.ones(len(data.joints), bool)
 
 

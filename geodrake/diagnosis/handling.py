@@ -223,9 +223,8 @@ class _Base:
         logs: list[list[_Rows]] = [[] for _ in self.case.trajectories]
         for j, data in enumerate(self.model.dataset.data):
             parts: list[list[JointRows]] = [[] for _ in logs]
-            for fold, kept in zip(self.case.folds, data.rows, strict=True):
-                for block, rows in zip(fold.blocks, kept, strict=False):
-                    parts[block.trajectory] += [rows] if len(rows.b) else []
+            for log, rows in data.logged_rows(self.case.folds):
+                parts[log] += [rows] if len(rows.b) else []
             for log, pieces in enumerate(parts):
                 if pieces:
                     logs[log].append(self._of_joint(j, self.case.trajectories[log].began, pieces))

@@ -63,17 +63,13 @@ def joint_residuals(case: Case, hypothesis: Hypothesis) -> list[JointResidual]:
     for name, data, residual in zip(dataset.joints, dataset.data, blocks, strict=True):
         if not data.samples.any():
             continue
-        rows = [
-            (rows, block.trajectory)
-            for fold, kept in zip(case.folds, data.rows, strict=True)
-            for block, rows in zip(fold.blocks, kept, strict=False)
-        ]
-        q, v, _ = np.concatenate([part.motion for part, _ in rows]).T
+        rows = data.logged_rows(case.folds)
+        q, v, _ = np.concatenate([part.motion for _, part in rows]).T
         residuals.append(
             JointResidual(
                 name,
-                np.concatenate([part.time - began[log] for part, log in rows]),
-                np.concatenate([np.full(len(part.time), log) for part, log in rows]),
+                np.concatenate([part.time - began[log] for log, part in rows]),
+                np.concatenate([np.full(len(part.time), log) for log, part in rows]),
                 q,
                 v,
                 np.concatenate(residual),

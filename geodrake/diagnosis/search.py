@@ -538,7 +538,9 @@ class Search:
         """Return joints with more than noise left, or with a finding at their motors."""
         exceeds_noise = np.sqrt(self.fit.variance) > NOISE_MARGIN * self.case.dataset.noise_floor
         effects = [term.effect for term in self.fit.terms]
-        affected = [self.case.dataset.felt(e) for e in effects if e is not None and e.at_motor]
+        affected = [
+            self.case.dataset.affected_joints(e) for e in effects if e is not None and e.at_motor
+        ]
         joints = np.logical_or.reduce([exceeds_noise, *affected])
         model = self.case.model  # joints of a free base have no own effects
         return {model.joints[j] for j in np.flatnonzero(joints)} - set(model.base_joints)

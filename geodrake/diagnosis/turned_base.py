@@ -71,23 +71,21 @@ def logs_apart_notes(case: Case, model: LogModel, fit: Fit) -> list[str]:
         return []
     at, count = case.dataset.effect_columns(turning[0]), len(turning[0].parameters)
     cross, total = np.zeros((len(fit.x), count * len(names))), 0.0
-    gram, pull = (
-        np.eye(cross.shape[1]),
-        np.zeros(cross.shape[1]),
-    )  # prior deviation of a turn: 1 rad
+    # The prior deviation of a turn is 1 rad.
+    gram, pull = np.eye(cross.shape[1]), np.zeros(cross.shape[1])
     for j, data in enumerate(case.dataset.data):
         local = data.local(at)
-        kept = max(sum(len(rows.b) for fold in data.rows for rows in fold), 1)
+        logged = data.logged_rows(case.folds)
+        kept = max(sum(len(rows.b) for _, rows in logged), 1)
         weight = fit.weights[j] * model.rows[j] / kept  # long logs keep only some rows
-        for fold, blocks in zip(case.folds, data.rows, strict=True):
-            for block, rows in zip(fold.blocks, blocks, strict=False):
-                columns, effort = model.row_columns(fit, j, rows.A, rows.b)
-                turns, left = rows.A[:, local] * (local >= 0), effort - columns @ fit.x
-                own = count * block.trajectory + np.arange(count)
-                cross[:, own] += weight * columns.T @ turns
-                gram[np.ix_(own, own)] += weight * turns.T @ turns
-                pull[own] += weight * turns.T @ left
-                total += weight * float(left @ left)
+        for log, rows in logged:
+            columns, effort = model.row_columns(fit, j, rows.A, rows.b)
+            turns, left = rows.A[:, local] * (local >= 0), effort - columns @ fit.x
+            own = count * log + np.arange(count)
+            cross[:, own] += weight * columns.T @ turns
+            gram[np.ix_(own, own)] += weight * turns.T @ turns
+            pull[own] += weight * turns.T @ left
+            total += weight * float(left @ left)
     gram -= cross.T @ np.linalg.solve(model.hessian(fit), cross)
     if np.linalg.eigvalsh(gram)[0] <= 0.0:  # the kept rows are not like the others
         return []

@@ -25,7 +25,7 @@ from geodrake.fleet.digest_log import (
     make_digest,
     make_settings,
     model_of_digests,
-    said_of_reading,
+    reading_settings,
 )
 from geodrake.fleet.hashes import file_hash, text_hash
 from geodrake.fleet.log_places import date_text
@@ -36,7 +36,7 @@ from geodrake.logs.motion import JointLog
 from geodrake.model.logged_joints import reading_for
 from geodrake.model.robot_model import RobotModel
 
-Told = Callable[[str, float | None], None]
+Progress = Callable[[str, float | None], None]
 """Called with the current step and the fraction of the work that is done, if known."""
 
 MADE, THERE, FAILED = "made", "there", "failed"
@@ -133,7 +133,7 @@ def digest_logs(
     wanted: Wanted | None = None,
     date: float | None = None,
     payloads: Mapping[Path, Sequence[KnownPayload]] | None = None,
-    told: Told = lambda words, share: None,
+    progress: Progress = lambda words, share: None,
 ) -> DigestRun:
     """Digest logs into a folder; logs with existing digests are not read.
 
@@ -145,7 +145,7 @@ def digest_logs(
         wanted: Requested settings.
         date: Date of logs whose time stamps are not dates, s since 1970.
         payloads: Log -> payloads of known mass, not in the model, carried during the whole log.
-        told: Called with the progress.
+        progress: Called with the progress.
 
     Raises:
         DigestError: The folder's settings are damaged, of another version or model, or differ from
@@ -173,7 +173,7 @@ def digest_logs(
     folder.take_settings()
     rows = []
     for k, log in enumerate(files):
-        told(f"Digesting {log.name}", k / len(files))
+        progress(f"Digesting {log.name}", k / len(files))
         rows.append(_row(folder, log, date, carried.get(log, ())))
     return DigestRun(path, folder.settings, tuple(rows), folder.chosen, model.repairs)
 
@@ -243,7 +243,7 @@ def check_settings(settings: DigestSettings, model: RobotModel, wanted: Wanted) 
                 f"have {name} {existing:g}, but {value:g} was requested.",
                 "Omit it, or choose a new folder.",
             )
-    reading = said_of_reading(wanted.reading)
+    reading = reading_settings(wanted.reading)
     differing = [
         name
         for name, value in reading.items()

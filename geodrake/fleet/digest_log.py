@@ -100,7 +100,7 @@ class LogFacts:
         return text_hash((settings.hash, self.content, self.payloads, self.episode))[:_KEY]
 
 
-def said_of_reading(reading: Reading) -> dict[str, Any]:
+def reading_settings(reading: Reading) -> dict[str, Any]:
     """Return the reading options common to all logs, as plain data."""
     options = asdict(reading)
     for name in ("episode", "ignored", "motorless", "limits", "sliding"):
@@ -161,7 +161,7 @@ def make_settings(
         candidate_delays(trajectory.filter),
         tuple(map(DigestEffect.of, effects)),
         own_sources(wanted.extra),
-        said_of_reading(wanted.reading),
+        reading_settings(wanted.reading),
         wanted.blocks or BLOCKS,
         version(),
         chosen_from=log.name,

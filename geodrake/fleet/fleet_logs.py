@@ -21,7 +21,7 @@ from geodrake.boundary.input_files import read_regular
 from geodrake.boundary.showing import Short
 from geodrake.boundary.whole_files import made_folder, write_whole
 from geodrake.errors import ArgumentError, DigestError, FleetError, GeodrakeError, OutputError
-from geodrake.fleet.digest_folder import FAILED, Told, check_settings, digest_logs
+from geodrake.fleet.digest_folder import FAILED, Progress, check_settings, digest_logs
 from geodrake.fleet.fleet_file import Fleet, FleetRobot, FleetType
 from geodrake.fleet.hashes import text_hash
 from geodrake.fleet.log_places import (
@@ -67,7 +67,7 @@ def robot_folder(folder: Path, robot: str) -> Path:
     return folder / _FOLDER / f"{plain}-{text_hash(robot)[:8]}"
 
 
-def said_of(robot: FleetRobot) -> str:
+def entry_hash(robot: FleetRobot) -> str:
     """Return the hash of the fleet file's entries that affect the digests of a robot."""
     return text_hash((robot.dates, robot.payloads))[:_LETTERS]
 
@@ -90,13 +90,13 @@ def read_records(folder: Path, robot: FleetRobot) -> dict[str, LogRecord]:
     except OSError:
         return {}
     records = (_read_record(file) for file in files)
-    said = said_of(robot)
+    entry = entry_hash(robot)
     return {
         record.address: record
         for record in records
         if record is not None
         and record.robot == robot.name
-        and record.said == said
+        and record.said == entry
         and any(fits(record.address, pattern) for pattern in robot.logs)
     }
 
@@ -227,7 +227,7 @@ def digest_fleet(
     tasks: Sequence[LogTask],
     known: dict[str, dict[str, LogRecord]],
     team: Workers,
-    told: Told = lambda words, share: None,
+    progress: Progress = lambda words, share: None,
 ) -> FleetDigests:
     """Digest logs, and add their records to the known ones, robot -> address -> record."""
     done = made = 0
@@ -243,11 +243,11 @@ def digest_fleet(
     with ExitStack() as folders:
         for name in fleet.types:
             folders.enter_context(made_folder(fleet.folder / name / DIGESTS))
-        remaining = _choose_settings(fleet, tasks, add_record, told)
+        remaining = _choose_settings(fleet, tasks, add_record, progress)
         for k, record in team.each(digest_task, remaining):
             task = remaining[k]
             add_record(task, record or _failure(task, _KILLED))
-            told(f"Digested {task.place.name} of {task.robot.name}", done / len(tasks))
+            progress(f"Digested {task.place.name} of {task.robot.name}", done / len(tasks))
     by_date = {
         name: sorted(records.values(), key=attrgetter("date", "address"))
         for name, records in known.items()
@@ -264,7 +264,7 @@ def _choose_settings(
     fleet: Fleet,
     tasks: Sequence[LogTask],
     add_record: Callable[[LogTask, LogRecord], None],
-    told: Told,
+    progress: Progress,
 ) -> list[LogTask]:
     """Digest the first valid log of each type, which chooses settings; return remaining tasks."""
     remaining: list[LogTask] = []
@@ -272,7 +272,7 @@ def _choose_settings(
         folder = fleet.folder / kind.name
         of_kind = [task for task in tasks if task.kind is kind]
         while of_kind and read_settings(folder / DIGESTS) is None:
-            told(f"Choosing settings of {kind.name}", None)
+            progress(f"Choosing settings of {kind.name}", None)
             add_record(of_kind[0], digest_task(of_kind.pop(0)))
         remaining += of_kind
     return remaining
@@ -308,9 +308,11 @@ def digest_task(task: LogTask) -> LogRecord:
     robot, place = task.robot, task.place
     # The date from the path may be newer than that of an existing digest with the same content.
     start = row.about.date if row.about.date_from == "stamps" or date is None else date
-    return LogRecord(robot.name, place.address, place.stamp, said_of(robot), row.digest.name, start)
+    return LogRecord(
+        robot.name, place.address, place.stamp, entry_hash(robot), row.digest.name, start
+    )
 
 
 def _failure(task: LogTask, reason: str) -> LogRecord:
     place, robot = task.place, task.robot
-    return LogRecord(robot.name, place.address, place.stamp, said_of(robot), reason=reason)
+    return LogRecord(robot.name, place.address, place.stamp, entry_hash(robot), reason=reason)

@@ -14,7 +14,7 @@ from geodrake.boundary.arguments import instance, integer, number, typed
 from geodrake.boundary.showing import Short
 from geodrake.errors import FleetError
 from geodrake.fleet.changes import RobotSearch, SearchState, find_changes
-from geodrake.fleet.digest_folder import Told
+from geodrake.fleet.digest_folder import Progress
 from geodrake.fleet.fleet_file import Fleet, FleetRobot, FleetType
 from geodrake.fleet.fleet_logs import (
     FleetDigests,
@@ -67,14 +67,14 @@ def run_fleet(
     fleet: Fleet,
     work: FleetWork | None = None,
     *,
-    told: Told = lambda words, share: None,
-    said: Callable[[str], None] = lambda line: None,
+    progress: Progress = lambda words, share: None,
+    report: Callable[[str], None] = lambda line: None,
 ) -> tuple[FleetResult, FleetDigests]:
     """Digest the logs of a fleet, and find which robots changed.
 
     Args:
-        told: Called with the progress.
-        said: Called with permanent messages.
+        progress: Called with the progress.
+        report: Called with permanent messages.
 
     Returns:
         The result, which does not depend on interruptions; and the digests of this run.
@@ -84,7 +84,7 @@ def run_fleet(
         DigestError: Existing digests are of another model or version, or have other settings.
         OutputError: The folder cannot be written to.
     """
-    result, digests = look_at_fleet(fleet, work or FleetWork(), told=told, said=said)
+    result, digests = look_at_fleet(fleet, work or FleetWork(), progress=progress, report=report)
     return cast("FleetResult", result), digests  # never None without `seen`
 
 
@@ -93,8 +93,8 @@ def look_at_fleet(
     work: FleetWork,
     seen: FleetDigests | None = None,
     *,
-    told: Told = lambda words, share: None,
-    said: Callable[[str], None] = lambda line: None,
+    progress: Progress = lambda words, share: None,
+    report: Callable[[str], None] = lambda line: None,
 ) -> tuple[FleetResult | None, FleetDigests]:
     """Do the work of `run_fleet`; return no result if nothing changed since a previous run.
 
@@ -103,19 +103,19 @@ def look_at_fleet(
     """
     instance(fleet, "fleet", Fleet)
     repairs = check_places(fleet, local=work.workers == 0 and work.scheduler is None)
-    told("Looking for logs", None)
+    progress("Looking for logs", None)
     tasks, known = find_tasks(fleet, () if seen is None else seen.failed)
     pieces = max(len(tasks), len(fleet.robots)) if seen is None or tasks else 0
-    with workers(pieces, count=work.workers, scheduler=work.scheduler, report=said) as team:
-        digests = replace(digest_fleet(fleet, tasks, known, team, told), repairs=repairs)
+    with workers(pieces, count=work.workers, scheduler=work.scheduler, report=report) as team:
+        digests = replace(digest_fleet(fleet, tasks, known, team, progress), repairs=repairs)
         records = digests.records, digests.failed
         if seen is not None and not digests.made and records == (seen.records, seen.failed):
             return None, digests
-        return _result(fleet, digests, work.false_alarms, told, team), digests
+        return _result(fleet, digests, work.false_alarms, progress, team), digests
 
 
 def _result(
-    fleet: Fleet, digests: FleetDigests, false_alarms: float, told: Told, team: Workers
+    fleet: Fleet, digests: FleetDigests, false_alarms: float, progress: Progress, team: Workers
 ) -> FleetResult:
     unused = [*digests.failed]
     robots: list[RobotResult] = []
@@ -127,7 +127,7 @@ def _result(
             unused += duplicates
         settings, results = digests.settings[kind.name], list[RobotResult]()
         if settings is not None:
-            told(f"Looking for changes in {kind.name}", None)
+            progress(f"Looking for changes in {kind.name}", None)
             results, damaged = _type_results(
                 fleet, kind, records, settings, false_alarms=false_alarms, team=team
             )

@@ -16,7 +16,7 @@ from geodrake.control.rollout import case_rollout
 from geodrake.effects import Effect, FittedEffect
 from geodrake.effects.episode import PointEpisode
 from geodrake.errors import ArgumentError
-from geodrake.identification.logs.case import Case, open_case
+from geodrake.identification.logs.case import Case, prepare_case
 from geodrake.identification.logs.compare import comparison
 from geodrake.identification.logs.model_errors import Comparison
 from geodrake.inertia import Array
@@ -226,11 +226,11 @@ def play_back(
             f"{', '.join(model.joints)}.",
             advice="Use two models of one robot.",
         )
-    case = open_case(model, logs, candidates=False, extra=extra, bandwidth=bandwidth)
+    case = prepare_case(model, logs, candidates=False, extra=extra, bandwidth=bandwidth)
     cases = {model.path.name if before is None else "after": case}
     if before is not None:
         effort_bandwidth, motion_bandwidth = case.trajectories[0].bandwidths
-        other = open_case(
+        other = prepare_case(
             before,
             case.options.logs,
             candidates=False,

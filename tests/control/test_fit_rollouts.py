@@ -22,7 +22,7 @@ from geodrake.control.rollout.passages import Conditions, chosen_passages
 from geodrake.control.rollout.simulation import simulations
 from geodrake.effects import CoulombFriction, RotorInertia, ViscousFriction
 from geodrake.errors import ArgumentError, LogError, ModelError
-from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.case import prepare_case
 from geodrake.logs import write_log
 from geodrake.model import EffortSignal
 from geodrake.report import About, page_of, render
@@ -49,7 +49,7 @@ def test_near_the_motion_is_as_in_the_diagram(pendulum):
         (soft_arm(0.8), arm_log(2000.0, seconds=5.0), 0.12, 1e-4),
         (loose(pendulum, 1.0), swung(0), 0.03, 0.2 * GAP),
     ):
-        for exact, found in departures(open_case(model, [log], candidates=False)):
+        for exact, found in departures(prepare_case(model, [log], candidates=False)):
             assert rms(exact) > least
             assert rms(found - exact) < share * rms(exact)
 

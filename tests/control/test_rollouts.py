@@ -34,7 +34,7 @@ from geodrake.effects import (
 )
 from geodrake.effects.robot_motion import log_number
 from geodrake.errors import ArgumentError, LogError
-from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.case import prepare_case
 from geodrake.logs import JointLog, read_log, write_log
 from geodrake.model import EffortSignal
 from geodrake.report import About, page_of, render
@@ -370,7 +370,7 @@ def test_steps_move_a_rigid_robot_as_drake_does(arm):
     more = tuple(FittedEffect(effect, np.array([value])) for effect, value in kinds)
     servos = tuple(replace(s, integral=60.0, dead_band=0.01) for s in model.effort_signals)
     robot = replace(model, effects=(*model.effects, *more), effort_signals=servos)
-    case = open_case(robot, [log], candidates=False)
+    case = prepare_case(robot, [log], candidates=False)
     passages = chosen_passages(case, 0.5, 2)
     found = Stepping(Conditions(case, True), passages).positions()
     drake = simulations(Conditions(case, True), passages)(log.name)

@@ -26,7 +26,7 @@ from geodrake.effects import CoulombFriction, FittedEffect, RotorInertia, Viscou
 from geodrake.effects.deflection import Deflection, DeflectionEffect
 from geodrake.effects.of_files import SquaredLoadFriction
 from geodrake.errors import ArgumentError, ModelError
-from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.case import prepare_case
 from geodrake.logs import JointLog, Motion
 from geodrake.model import EffortSignal
 from geodrake.model.admissible import check_effect
@@ -203,7 +203,7 @@ def log():
 
 
 def test_steps_and_drake_move_it_as_it_does(model, log):
-    case = open_case(model, [log], candidates=False)
+    case = prepare_case(model, [log], candidates=False)
     passages = chosen_passages(case, 0.5, 2)
     found = Stepping(Conditions(case, True), passages).positions()
     drake = simulations(Conditions(case, True), passages)(log.name)

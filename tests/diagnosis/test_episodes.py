@@ -20,7 +20,7 @@ from geodrake.effects import Contact, FittedEffect, TemporaryPayload
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.robot_motion import log_number
 from geodrake.errors import ArgumentError
-from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.case import prepare_case
 from geodrake.inertia import from_mass_com_inertia
 from geodrake.logs.filtering import design_filter
 from geodrake.model import save_model
@@ -236,7 +236,7 @@ def test_found(pendulum, picked_up, tmp_path):
 def test_is_none_of_another_log(picked_up):
     """An episode of one log changes no prediction of another, where it is found anew."""
     first, quiet = picked_up[1].model, a_log(4, np.zeros_like)
-    dataset = open_case(first, [quiet], candidates=False).dataset
+    dataset = prepare_case(first, [quiet], candidates=False).dataset
     (effect,) = [f.effect for f in first.effects if isinstance(f.effect, TemporaryPayload)]
     assert not dataset.column_peak[dataset.effect_columns(effect)].any()
     assert explain(first, [quiet]).steps == ()

@@ -40,7 +40,7 @@ from geodrake.effects import (
     StribeckFriction,
     ViscousFriction,
 )
-from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.case import prepare_case
 from geodrake.identification.logs.dataset import Dataset, JointData
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable, JointError
 from geodrake.identification.logs.unknowns import pullback_information
@@ -271,7 +271,7 @@ def rubbing(seen):
 @pytest.fixture(scope="module")
 def found():
     log = effort_log("double_pendulum", 4, rubbing, duration=16.0, share=0.01).log
-    return find_explanation(open_case(load_model(PENDULUM_FILE), [log], candidates=True))
+    return find_explanation(prepare_case(load_model(PENDULUM_FILE), [log], candidates=True))
 
 
 def with_terms(found, *names, width=None):
@@ -379,7 +379,7 @@ def heavier(seen, mass=0.3):
 @pytest.fixture(scope="module")
 def loaded():
     log = effort_log("double_pendulum", 5, heavier, duration=16.0, share=0.01).log
-    return find_explanation(open_case(load_model(PENDULUM_FILE), [log], candidates=True))
+    return find_explanation(prepare_case(load_model(PENDULUM_FILE), [log], candidates=True))
 
 
 def with_load(found, *, width, has_load=True):

@@ -27,7 +27,7 @@ from geodrake.effects import FittedEffect, GravityTilt, JointEffect, Parameter, 
 from geodrake.effects.file_terms import Damping
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.bandwidth import prepare_for_model
-from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.case import prepare_case
 from geodrake.identification.models.identify import identify_model
 from geodrake.logs import Motion
 from geodrake.logs.known_payload import KnownPayload
@@ -392,7 +392,7 @@ def test_known_payloads_are_no_other_gravity():
     log = effort_log(PENDULUM, 4, held, duration=8.0, rate=100.0, share=0.01).log
     payload = KnownPayload("lower_link", 6.0, (0.0, 0.0, -0.3))
     log = dataclasses.replace(log, payloads=(payload,))
-    case = open_case(model_file(PENDULUM), [log], candidates=True)
+    case = prepare_case(model_file(PENDULUM), [log], candidates=True)
     (tilt,) = turned_bases(case, case.dataset.effects).values()
     np.testing.assert_allclose(tilt.in_bodies, (0.0, 2.5), atol=0.02)
 

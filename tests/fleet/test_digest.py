@@ -29,14 +29,14 @@ from geodrake.fleet import (
     merge,
     read_digest,
 )
-from geodrake.fleet.digest_log import Wanted, said_of_reading
+from geodrake.fleet.digest_log import Wanted, reading_settings
 from geodrake.fleet.hashes import model_hash, text_hash
 from geodrake.fleet.history import RobotHistory, weighted_grams
 from geodrake.fleet.log_places import date_of_log, date_seconds
 from geodrake.fleet.sealed_file import sealed, unsealed
 from geodrake.fleet.settings import FORMAT, SETTINGS_FILE, read_settings, settings_of
 from geodrake.fleet.type_layout import type_layout
-from geodrake.identification.logs.case import open_case, reduced
+from geodrake.identification.logs.case import prepare_case, reduced
 from geodrake.identification.logs.hypothesis import CrossValidation, first_hypothesis
 from geodrake.identification.logs.model_fit import model_unknowns
 from geodrake.logs import KnownPayload, Reading, read_log, write_log
@@ -79,7 +79,7 @@ def digests(logs, settings):
 def read_together(model, logs, settings):
     """Return the `Dataset` of logs that are read together, without digests."""
     how = {"bandwidth": settings.bandwidth, "motion_bandwidth": settings.motion_bandwidth}
-    case = open_case(model, logs, candidates=True, blocks=settings.blocks, **how)
+    case = prepare_case(model, logs, candidates=True, blocks=settings.blocks, **how)
     return reduced(case, [each.made() for each in settings.effects])
 
 
@@ -310,7 +310,7 @@ def test_merged_digests_are_fitted_as_a_reading_of_the_logs(made, tmp_path):
     back = [read_digest(tmp_path / f"{k}.digest") for k in range(2)]
     dataset = digest_dataset(merge(back), model)
     how = {"bandwidth": settings.bandwidth, "motion_bandwidth": settings.motion_bandwidth}
-    case = open_case(model, logs, candidates=True, blocks=settings.blocks, **how)
+    case = prepare_case(model, logs, candidates=True, blocks=settings.blocks, **how)
     read = reduced(case, [each.made() for each in settings.effects])
     j = model.joints.index("shoulder")
     assert np.allclose(dataset.passive_inertia, read.passive_inertia, rtol=1e-3, atol=1e-6)
@@ -484,7 +484,7 @@ def test_settings_that_another_run_has_made_meanwhile_are_taken(logged, folder, 
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(digest_folder, "write_new", slowly)
-        run = digest_logs(SMALL, [logged / "log_3.csv"], other, told=meanwhile)
+        run = digest_logs(SMALL, [logged / "log_3.csv"], other, progress=meanwhile)
     assert run.settings.hash == read_settings(folder).hash
     assert (run.chosen, run.settings.chosen_from) == (False, "another")
     assert read_digest(digest_files(other)[0]).settings.hash == run.settings.hash
@@ -552,10 +552,10 @@ def test_effects_of_a_users_own_have_columns(logged, tmp_path):
 def test_settings_say_what_those_of_older_folders_do(tmp_path):
     """Other words would give every folder other options."""
     names = "mapping columns rate units gains skip_bad_rows topic gain_deviations kinds motors"
-    assert said_of_reading(Reading()).keys() == {*names.split(), "of_base", "joints"}
-    assert said_of_reading(Reading(usual_deviation=0.2))["usual_deviation"] == 0.2
+    assert reading_settings(Reading()).keys() == {*names.split(), "of_base", "joints"}
+    assert reading_settings(Reading(usual_deviation=0.2))["usual_deviation"] == 0.2
     dbc, digests = tmp_path / "a.dbc", set()
     for words in ("one", "two"):
         dbc.write_text(words)
-        digests.add(json.dumps(said_of_reading(Reading(dbc=dbc))["dbc"]))
+        digests.add(json.dumps(reading_settings(Reading(dbc=dbc))["dbc"]))
     assert len(digests) == 2

@@ -16,7 +16,7 @@ from geodrake.effects import CoulombFriction, FittedEffect, RotorInertia, Viscou
 from geodrake.effects.of_files import SquaredLoadFriction
 from geodrake.errors import LogError
 from geodrake.identification.logs import signal_calibration
-from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.case import prepare_case
 from geodrake.identification.logs.effort_gains import ALIKE, _GeodesicBodies
 from geodrake.identification.logs.joint_motions import JointMotions, motions_of
 from geodrake.identification.logs.servo_fit import fit_servo
@@ -458,11 +458,11 @@ def test_a_servo_that_is_always_at_its_limit_is_refused(tmp_path):
     asked, model = servo_log(limit=2.0, seconds=6.0), pendulum(tmp_path, 2.0)
     saturated = "servo of hinge in log 'servo' is saturated: its command "
     with pytest.raises(LogError, match=f"{saturated}is far from its position, "):
-        open_case(model, [asked], candidates=False)
+        prepare_case(model, [asked], candidates=False)
     known = replace(model, effort_signals=(EffortSignal("hinge", "command", 50.0, limit=2.0),))
     held = replace(asked, command=np.full_like(asked.command, 9.0))
     with pytest.raises(LogError, match=f"{saturated}never changes, .*If it is off, use --passive"):
-        open_case(known, [held], candidates=False)
+        prepare_case(known, [held], candidates=False)
 
 
 def test_an_integral_in_a_log_is_held_as_that_of_position_servo():
@@ -611,7 +611,7 @@ def test_rows_beyond_the_limit_of_a_motor_are_noted(torques):
         f"in 25 % of the rows the commanded effort of {motor.joint} exceeds the motor's limit"
         in note
     )
-    assert note in open_case(able, [torques], candidates=False).notes
+    assert note in prepare_case(able, [torques], candidates=False).notes
     assert calibrate_efforts(able, [given])[2] == []
 
 

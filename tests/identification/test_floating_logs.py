@@ -22,7 +22,7 @@ from geodrake.effects.body_motion import RobotBodies
 from geodrake.errors import LogError
 from geodrake.excitation import log_identifiability
 from geodrake.identification.logs.candidate_effects import candidate_effects
-from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.case import prepare_case
 from geodrake.identification.logs.contact_rows import rows_without
 from geodrake.identification.logs.noise import known_noise
 from geodrake.logs import JointLog, read_log
@@ -272,7 +272,7 @@ def test_base_rows_alone_tell_a_payload_and_an_offset_of_a_foot_sensor(
     columns = {name: log.floating[name] + o for name, o in zip(names, offset, strict=True)}
     nothing = np.full_like(log.effort, np.nan)
     log = replace(log, floating=log.floating | columns, effort=nothing)
-    case = open_case(model, [log], candidates=True)
+    case = prepare_case(model, [log], candidates=True)
     assert not {joint for effect in case.dataset.effects for joint in effect.where} & {*JOINTS}
     found = explain(model, log)
     steps = {step.effect: step for step in found.steps}
@@ -839,6 +839,6 @@ def test_a_gain_of_a_leg_is_told_by_forces_of_the_ground(model, maker, wrenches)
 @pytest.mark.parametrize("wrenches", [True, False])
 def test_joints_that_bear_forces_of_the_ground_do_not_give_way(model, maker, wrenches):
     """Columns of what gives way have no forces of the ground in them."""
-    case = open_case(model, [maker.log(wrenches=wrenches)], candidates=True)
+    case = prepare_case(model, [maker.log(wrenches=wrenches)], candidates=True)
     tried = {effect.role for effect in case.dataset.effects if {*effect.where} & {*JOINTS}}
     assert Role.SCALE in tried and Role.DEFLECTION not in tried

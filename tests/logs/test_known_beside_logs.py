@@ -16,7 +16,7 @@ from geodrake import load_model
 from geodrake.control import roll_out
 from geodrake.diagnosis import compare
 from geodrake.errors import ArgumentError
-from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.case import prepare_case
 from geodrake.identification.logs.servo_motion import PARAMETERS
 from geodrake.identification.logs.signal_calibration import (
     calibrate_efforts,
@@ -76,7 +76,7 @@ def clean(weight, name=ARM):
 class TestGainTold:
     def test_payloads_of_all_logs_do_not_identify_gains(self):
         held = [two_logs(seed, [0.0, 0.08], weight=LIGHT, name=PENDULUM)[1] for seed in (9, 10)]
-        case = open_case(model_file(PENDULUM), held, candidates=True)
+        case = prepare_case(model_file(PENDULUM), held, candidates=True)
         assert not any(effect.name == "effort_scale" for effect in case.dataset.effects)
         assert any("known payloads do not identify effort gains" in note for note in case.notes)
 
@@ -105,10 +105,10 @@ class TestLoad:
         """The one of four logs that has the weight is cut in two."""
         empty, held = two_logs(16, off=0.0, weight=LIGHT, name=PENDULUM)
         logs = [empty, *(two_logs(seed, name=PENDULUM, weight=LIGHT)[0] for seed in (17, 18))]
-        case = open_case(model_file(PENDULUM), [*logs, held], candidates=False, bandwidth=2.0)
+        case = prepare_case(model_file(PENDULUM), [*logs, held], candidates=False, bandwidth=2.0)
         assert [each.payloads for each in case.trajectories] == [(), (), (), (LIGHT,)]
         assert len(case.folds) == 8
-        case = open_case(model_file(PENDULUM), [*logs, bare(held)], candidates=False)
+        case = prepare_case(model_file(PENDULUM), [*logs, bare(held)], candidates=False)
         assert len(case.folds) == 4
 
 

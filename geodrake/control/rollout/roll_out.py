@@ -23,7 +23,7 @@ from geodrake.control.rollout.stepping import Stepping, can_step
 from geodrake.effects import Role
 from geodrake.effects.lookup import effect_of
 from geodrake.errors import LogError
-from geodrake.identification.logs.case import Case, checked_logs, open_case
+from geodrake.identification.logs.case import Case, checked_logs, prepare_case
 from geodrake.inertia import Array
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
@@ -166,7 +166,7 @@ def roll_out(
     """
     check_windows(horizon, most, progress)
     instance(commands, "commands", bool)
-    case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
+    case = prepare_case(model, logs, candidates=False, bandwidth=bandwidth)
     return case_rollout(case, horizon=horizon, most=most, commands=commands, progress=progress)
 
 
@@ -190,7 +190,7 @@ def commanded_motions(
     models = (model, *instances(between, "between", RobotModel))
     if not any(servos_of(instance(after, "after", RobotModel))):
         return None
-    case = open_case(after, logs, candidates=False)
+    case = prepare_case(after, logs, candidates=False)
     if not any(commanded_joints(case.model, log).any() for log in case.options.logs):
         return None
     with_servos = (

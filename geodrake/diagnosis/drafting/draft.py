@@ -31,7 +31,7 @@ from geodrake.diagnosis.search_progress import FoundStep, Progress
 from geodrake.diagnosis.unknown_efforts import range_of_motion, reversals
 from geodrake.effects.base import Effect
 from geodrake.effects.robot_motion import RobotMotion
-from geodrake.identification.logs.case import Case, error_table, open_case, reduced
+from geodrake.identification.logs.case import Case, error_table, prepare_case, reduced
 from geodrake.identification.logs.criteria import NOISE_MARGIN
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.model_fit import effects_of
@@ -80,7 +80,7 @@ def draft_effects(
         function(progress, "progress")
     if beliefs is not None:
         instance(beliefs, "beliefs", Beliefs)
-    case = open_case(
+    case = prepare_case(
         model,
         logs,
         candidates=True,

@@ -100,7 +100,7 @@ class Case(Short):
         return (*catalogue(), *self.options.extra)
 
 
-def open_case(
+def prepare_case(
     model: RobotModel,
     logs: Sequence[JointLog | str | Path],
     *,

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.identification.logs.case import Case, error_table, open_case, series
+from geodrake.identification.logs.case import Case, error_table, prepare_case, series
 from geodrake.identification.logs.hypothesis import HeldOut
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Failing, Series
 from geodrake.identification.logs.model_fit import model_unknowns, unfitted_errors
@@ -38,7 +38,7 @@ def compare(
     chosen from the data. Every log is cut into `blocks`. Joints that hardly move in any log are
     held if `hold_resting`.
     """
-    case = open_case(
+    case = prepare_case(
         model,
         logs,
         candidates=False,

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from geodrake.boundary.showing import Short
 from geodrake.effects import Effect, Role
 from geodrake.inertia import PARAMETERS_PER_BODY
+from geodrake.logs.folds import Fold
 from geodrake.manifolds import PhysicalInertia
 
 Array = NDArray[np.float64]
@@ -120,6 +121,14 @@ class JointData:
         factors = self.factors[:, :, np.append(local, len(self.columns) + delay)]
         factors[:, :, :-1] *= local >= 0
         return factors
+
+    def logged_rows(self, folds: Sequence[Fold]) -> list[tuple[int, JointRows]]:
+        """Return the kept rows of all blocks, in the order of folds, and the index of their log."""
+        return [
+            (block.trajectory, rows)
+            for fold, kept in zip(folds, self.rows, strict=True)
+            for block, rows in zip(fold.blocks, kept, strict=False)
+        ]
 
     @property
     def still(self) -> float:
@@ -237,14 +246,16 @@ class Dataset(Short):
         return self.starts[effect] + np.arange(len(effect.parameters))
 
     @cached_property
-    def _felt(self) -> dict[Effect, NDArray[np.bool_]]:
+    def _affected(self) -> dict[Effect, NDArray[np.bool_]]:
         return {}
 
-    def felt(self, effect: Effect) -> NDArray[np.bool_]:
+    def affected_joints(self, effect: Effect) -> NDArray[np.bool_]:
         """Return (nv,) whether an effect acts on a joint."""
-        if effect not in self._felt:
-            self._felt[effect] = np.asarray(self.reach[:, self.effect_columns(effect)].any(axis=1))
-        return self._felt[effect]
+        if effect not in self._affected:
+            self._affected[effect] = np.asarray(
+                self.reach[:, self.effect_columns(effect)].any(axis=1)
+            )
+        return self._affected[effect]
 
     @cached_property
     def samples(self) -> NDArray[np.int_]:

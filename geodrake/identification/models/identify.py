@@ -14,7 +14,7 @@ from geodrake.effects.effect_columns import declares_signals
 from geodrake.errors import ArgumentError, GeodrakeError, IdentificationError
 from geodrake.identification.fit import FitResult
 from geodrake.identification.identify import IdentificationResult, physical_prior
-from geodrake.identification.logs.case import error_table, open_case, reduce_fitted
+from geodrake.identification.logs.case import error_table, prepare_case, reduce_fitted
 from geodrake.identification.logs.compare import comparison
 from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.hypothesis import first_hypothesis, reweight
@@ -156,7 +156,7 @@ def identify_model(
     model = model.with_volume
     physical_prior(model.phi, model.bodies)
     prior = with_effects(model, effects)
-    case = open_case(
+    case = prepare_case(
         prior,
         logs,
         candidates=False,
