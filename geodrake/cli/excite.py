@@ -320,7 +320,9 @@ def _collisions(
         return None, ("self-collisions were not checked (--no-collisions)",)
     try:
         world = CollisionWorld(model, clearance=options.clearance)
-    except ArgumentError:
+    except ArgumentError as error:
+        if error.evidence.get("name") == "clearance":
+            raise
         if obstacles:
             raise ArgumentError(
                 f"{model.path.name} has no collision geometry, which --obstacle needs.",
