@@ -8,12 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import qr, solve_triangular
 
-from geodrake.boundary.arguments import integer, typed
+from geodrake.boundary.arguments import integer
 from geodrake.errors import IdentificationError
-from geodrake.identification.conic_fit import solve_fit
-from geodrake.identification.fit import FitResult
-from geodrake.identification.identify import build_problem, physical_prior
-from geodrake.identification.problem import BodyConstraints, whitened_factor
+from geodrake.identification.problem import whitened_factor
 from geodrake.inertia import Array
 from geodrake.inertia.parameters import PARAMETER_NAMES
 
@@ -67,35 +64,6 @@ def least_squares(
     return LeastSquaresResult(
         x=x, residual=float(errors @ errors), rank=rank, directions=directions
     )
-
-
-@typed
-def physical_least_squares(
-    A: ArrayLike,
-    b: ArrayLike,
-    prior: ArrayLike,
-    *,
-    sigma: ArrayLike | None = None,
-    extra_bounds: ArrayLike | None = None,
-    constraints: BodyConstraints | None = None,
-    solver: str = "clarabel",
-) -> FitResult:
-    """Solve least squares over physical bodies, P(φ) ≻ 0, without a regularizer.
-
-    The solution often lies at the boundary of physical bodies (`active_blocks`; [Lee2019] §3.2.2).
-    The prior (nb, 10) only sets the scale of the program. `solver` is one of Drake's conic solvers;
-    the other arguments are those of `identify`.
-
-    Raises:
-        IdentificationError: The data do not identify all parameters, or the solver failed.
-    """
-    prior = physical_prior(prior)
-    factor = whitened_factor(A, b, sigma=sigma)
-    problem = build_problem(factor, prior, constraints=constraints, extra_bounds=extra_bounds)
-    directions = open_directions(factor)
-    if len(directions):
-        raise _undetermined(directions, len(prior))
-    return solve_fit(problem, solver=solver)
 
 
 def open_directions(factor: Array) -> Array:

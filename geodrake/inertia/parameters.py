@@ -35,14 +35,6 @@ def checked_phi(phi: ArrayLike, name: str = "phi", sizes: Sizes | None = None) -
     return real_array(phi, name, ("...", PARAMETERS_PER_BODY), sizes)
 
 
-def rotational_inertia(phi: ArrayLike) -> Array:
-    """Return rotational inertia matrices I_BBo_B (..., 3, 3), kg·m², of φ (..., 10).
-
-    [Lee2019] Eq. (B.1.1).
-    """
-    return calc_rotational_inertia(checked_phi(phi))
-
-
 def pseudo_inertia(phi: ArrayLike) -> Array:
     """Return the pseudo-inertia P(φ) = [[Σ, h], [hᵀ, m]] (..., 4, 4) of φ (..., 10).
 
@@ -237,17 +229,3 @@ def principal_axes(phi: ArrayLike) -> PrincipalAxes:
     rotation = np.concatenate([axes[..., :2], handedness[..., None, None] * axes[..., 2:]], -1)
     moments = values.sum(-1, keepdims=True) - values
     return PrincipalAxes(phi[..., 0], phi[..., 1:4] / phi[..., :1], rotation, moments, values)
-
-
-def triangle_margins(phi: ArrayLike) -> Array:
-    """Return the relative margins (..., 3) of the triangle inequality of principal moments.
-
-    They are (J₂ + J₃ − J₁) / (J₁ + J₂ + J₃) and so on, in ascending order. They add up to one; all
-    are positive for a physical body, and one is zero for a flat one ([Lee2019] Eqs.
-    (3.2.8)–(3.2.10)).
-    """
-    values = principal_axes(phi).second_moments
-    if not (extent := values.sum(-1) > 0).all():
-        bad = np.asarray(phi, float).reshape(-1, 10)[int(np.argmin(extent.ravel()))]
-        raise ArgumentError(f"A body without extent has no margins; got {bad.tolist()}.")
-    return np.asarray(values / values.sum(-1, keepdims=True))

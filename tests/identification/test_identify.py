@@ -24,7 +24,6 @@ from geodrake.identification import (
     least_squares,
     solve_fit,
 )
-from geodrake.identification.least_squares import physical_least_squares
 from geodrake.identification.problem import whitened_factor
 from geodrake.inertia import (
     Ellipsoid,
@@ -294,35 +293,20 @@ def test_all_residuals_are_equal(reference, gamma):
 
 def test_open_directions_are_named():
     A, b = data_of_two(4, rows=60)
+    free = least_squares(A, b, bodies=2)
+    np.testing.assert_allclose(free.x, np.linalg.lstsq(A, b)[0], rtol=1e-9)
+    assert free.rank == 20 and free.directions.shape == (0, 20)
     A[:, 4] = 0.0  # Ixx of body 0
     A[:, 12] = 3.0 * A[:, 1]  # hy of body 1 like hx of body 0
-    for solve in (lambda: least_squares(A, b, bodies=2), lambda: physical_least_squares(A, b, TWO)):
-        with pytest.raises(
-            IdentificationError, match=r"do not identify 2 of 20 directions"
-        ) as caught:
-            solve()
-        directions = caught.value.evidence["directions"]
-        np.testing.assert_allclose(A @ directions.T, 0.0, atol=1e-9)
-        assert "+1 Ixx[0]" in str(caught.value)
-        assert "hy[1]" in str(caught.value) and "hx[0]" in str(caught.value)
+    with pytest.raises(IdentificationError, match="do not identify 2 of 20 directions") as caught:
+        least_squares(A, b, bodies=2)
+    directions = caught.value.evidence["directions"]
+    np.testing.assert_allclose(A @ directions.T, 0.0, atol=1e-9)
+    assert "+1 Ixx[0]" in str(caught.value)
+    assert "hy[1]" in str(caught.value) and "hx[0]" in str(caught.value)
     least = least_squares(A, b, minimum_norm=True)
     np.testing.assert_allclose(least.x, np.linalg.lstsq(A, b)[0], atol=1e-9)
     assert least.rank == 18
-
-
-def test_physical_least_squares_is_the_limit_of_a_weak_prior():
-    A, b = data_of_two(6, rows=60, noise=2.0)
-    result = physical_least_squares(A, b, TWO)
-    assert is_physical(result.x.reshape(2, 10)).all() and result.active_blocks
-    weak = identify(A, b, TWO, regularizer="pullback", gamma=1e-6)
-    assert result.residual == pytest.approx(weak.residual, rel=1e-4)
-    free, (expected, residual) = least_squares(A, b, bodies=2), np.linalg.lstsq(A, b)[:2]
-    np.testing.assert_allclose(free.x, expected, rtol=1e-9)
-    assert result.residual > free.residual == pytest.approx(residual[0], rel=1e-9)
-    assert free.rank == 20 and free.directions.shape == (0, 20)
-    easy = data_of_two(6, rows=60, noise=1e-6)
-    inside = physical_least_squares(*easy, TWO)
-    np.testing.assert_allclose(inside.x, least_squares(*easy).x, rtol=1e-6)
 
 
 def test_a_regularizer_without_a_solution_is_told_beside_the_others(monkeypatch):
