@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import compress
 from typing import TYPE_CHECKING, Any
 
 from geodrake.report.charts import Bars, Chart
@@ -42,26 +41,20 @@ class Table:
     @property
     def in_short(self) -> Table:
         """Return the table without its deep columns."""
-        return self.columns([name not in self.deep for name in self.head])
+        return self.columns([k for k, name in enumerate(self.head) if name not in self.deep])
 
     @property
     def deep_columns(self) -> tuple[str, ...]:
         """Return the columns of `deep` that the table has."""
         return tuple(name for name in self.head if name in self.deep)
 
-    @property
-    def in_depth(self) -> Table:
-        """Return the columns of words and the deep ones, without rows that are empty there."""
-        kept = [k < self.words or name in self.deep for k, name in enumerate(self.head)]
-        return self.columns(kept, filled=True)
-
-    def columns(self, kept: Sequence[bool], *, filled: bool = False) -> Table:
+    def columns(self, kept: Sequence[int], *, filled: bool = False) -> Table:
         """Return the table with some columns; if `filled`, without rows that have no numbers."""
-        rows = [tuple(compress(row, kept)) for row in self.rows]
+        rows = [tuple(row[k] for k in kept) for row in self.rows]
         if filled:
             rows = [row for row in rows if any(cell.text for cell in row[self.words :])]
         total = self.total if len(rows) == len(self.rows) else 0
-        return replace(self, head=tuple(compress(self.head, kept)), rows=rows, total=total)
+        return replace(self, head=tuple(self.head[k] for k in kept), rows=rows, total=total)
 
 
 def cells(*entries: Cell | str | float | None) -> tuple[Cell, ...]:

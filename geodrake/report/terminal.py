@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -119,36 +118,34 @@ def _show_items(console: Console, items: Sequence[str]) -> None:
 
 def _tables(console: Console, table: Table, *, details: bool) -> Iterator[Grid]:
     """Yield a table in parts that are not wider than the terminal, the deep columns last."""
-    parts = [table if details else table.in_short]
-    if details and table.deep_columns and sum(_widths(console, table)) > console.width:
-        parts = [table.in_short, table.in_depth]
-    for part in parts:
-        widths, words = _widths(console, part), part.words
-        least = [*map(min, widths[:words], _least_widths(part)), *widths[words:]]
-        first = words
-        while True:
-            last = len(widths)
-            while last > first + 1 and sum(least[:words] + least[first:last]) > console.width:
-                last -= 1
-            kept = [k < words or first <= k < last for k in range(len(widths))]
-            room = [*compress(widths, kept)], [*compress(least, kept)]
-            shown = part.columns(kept, filled=first > words)
-            yield _grid(console, shown, _fitted(*room, console.width))
-            first = last
-            if last == len(widths):
-                break
+    table, room = table if details else table.in_short, console.width + _GAP
+    widths = _widths(console, table)
+    least = [*map(min, widths, _least_widths(table)), *widths[table.words :]]
+    words, numbers = [*range(table.words)], [*range(table.words, len(widths))]
+    deep = [k for k in numbers if table.head[k] in table.deep and sum(widths) > room]
+    for group in filter(None, ([k for k in numbers if k not in deep], deep)):
+        start = 0
+        while start < len(group):
+            end = len(group)
+            while end > start + 1 and sum(least[k] for k in (*words, *group[start:end])) > room:
+                end -= 1
+            kept, filled = [*words, *group[start:end]], group[start] > numbers[0]
+            fitted = _fitted([widths[k] for k in kept], [least[k] for k in kept], room)
+            yield _grid(console, table.columns(kept, filled=filled), fitted)
+            start = end
+    if not numbers:
+        yield _grid(console, table, _fitted(widths, least, room))
 
 
 def _widths(console: Console, table: Table) -> list[int]:
-    """Return the widths of columns without wrapping, with the gaps between them."""
+    """Return the widths of columns without wrapping, with the gaps after them."""
     texts = [[cell.typed or cell.text for cell in row] for row in table.rows]
     columns = [[name, *column] for name, *column in zip(table.head, *texts, strict=True)]
     if console.is_terminal:
         for column in columns[table.words :]:
             column[0] = column[0].replace(" ", "\n")
     lines = [[printable(line) for x in column for line in x.split("\n")] for column in columns]
-    widths = [max(map(cell_len, column)) + _GAP for column in lines]
-    return [*widths[:-1], widths[-1] - _GAP]
+    return [max(map(cell_len, column)) + _GAP for column in lines]
 
 
 def _least_widths(table: Table) -> list[int]:
@@ -180,7 +177,7 @@ def _grid(console: Console, table: Table, widths: Sequence[int]) -> Grid:
         pad_edge=False,
         padding=(0, 1, 0, 0) if console.is_terminal else (0, 2, 0, 0),
     )
-    texts = [width - _GAP * (k < len(widths) - 1) for k, width in enumerate(widths)]
+    texts = [width - _GAP for width in widths]
     for k, name in enumerate(table.head):
         if k < table.words:
             grid.add_column(_wrapped(name, texts[k]), overflow="fold")
