@@ -144,6 +144,14 @@ def lines_of(rows: Sequence[Row]) -> list[Line]:
         share("read and explained", [not row["failed"] for row in rows], 1.0),
         share("truth named and placed", [_is_named(row) for row in hiding], 0.9),
         share("… and nothing else", [_is_named(row) and not row["wrong"] for row in hiding]),
+        *(
+            share(f"{hidden} named", [_is_named(row) for row in hiding if row["hidden"] == hidden])
+            for hidden in (legged.LIMB, legged.GAIN, legged.FOOT)
+        ),
+        *(
+            share(f"places of {legged.DRIVES}, {words}", _places_named(hiding, biped=biped))
+            for words, biped in (("quadrupeds", False), ("a humanoid", True))
+        ),
         share("payload named", ["found_mass" in row for row in loads]),
         share("… mass inside its interval", [row["mass_inside"] for row in found], 0.9),
         share("… mass within 5 %", [row["mass_error"] <= 0.05 for row in found], 0.9),
@@ -155,6 +163,14 @@ def lines_of(rows: Sequence[Row]) -> list[Line]:
         median("seconds of CPU of explain", [row["explain_seconds"] for row in told], 30.0),
         *calibration(rows),
     ]
+
+
+def _places_named(rows: Sequence[Row], *, biped: bool) -> list[bool]:
+    """Return whether friction and rotor of each joint are named."""
+    drives = [row for row in rows if row["hidden"] == legged.DRIVES and not row["failed"]]
+    drives = [row for row in drives if (row["robot"] == "talos") == biped]
+    named = sum(len(step["where"]) for row in drives for step in row["steps"] if step["right"])
+    return [True] * named + [False] * sum(len(row["missing"]) for row in drives)
 
 
 def _is_named(row: Row) -> bool:

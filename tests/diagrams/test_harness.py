@@ -42,7 +42,9 @@ def test_page_is_what_the_command_makes():
 
 
 def test_every_figure_is_on_the_page_and_of_a_script():
-    whole = TEMPLATE.replace("r.", "real_robots.")
+    whole = TEMPLATE
+    for short, name in re.findall(r"{%-? set (\w+) = (\w+)", TEMPLATE):
+        whole = re.sub(rf"\b{short}\.", f"{name}.", whole)
     for name, run in RUNS.items():
         script = re.fullmatch(r"python -m (diagrams\.\w+\.\w+)( .*)?", run["command"])
         assert script[1] in SCRIPTS.values()
