@@ -31,7 +31,7 @@ from geodrake.diagnosis.columns import (
 from geodrake.effects import load_effect_file
 from geodrake.effects.base import Effect
 from geodrake.errors import ArgumentError, GeodrakeError, LogError, OutputError
-from geodrake.logs.files import Reading, check_log, file_names, parts_of, read_log
+from geodrake.logs.files import check_log, file_names, parts_of, read_log
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.motion import JointLog
 from geodrake.model.base_motion import has_base
@@ -300,7 +300,10 @@ def _read(
     if command.reads_logs and files:
         update("Reading the logs")
         reading = reading_for(model, getattr(options, "reading", None))
-        paths, found, unread = _readable(files, model.known_joints, reading)
+        joints = model.known_joints
+        paths, found, unread = readable(
+            files, lambda path: read_log(path, joints=joints, partial=True, reading=reading)
+        )
         model = model_of_logs(model, found, hold_resting=getattr(options, "hold_resting", False))
         model = replace(model, notes=(*unread, *model.notes)) if unread else model
         command.check(model)
@@ -314,20 +317,20 @@ def _read(
     return Input(model, logs, extra, settings, update)
 
 
-def _readable(
-    paths: Sequence[Path], joints: Sequence[str], reading: Reading
-) -> tuple[list[Path], list[JointLog], list[str]]:
+def readable(
+    paths: Sequence[Path], read: Callable[[Path], R]
+) -> tuple[list[Path], list[R], list[str]]:
     """Return the logs that can be read, with their paths, and notes on the others."""
-    readable, logs, errors = list[Path](), list[JointLog](), list[tuple[Path, LogError]]()
+    found, logs, errors = list[Path](), list[R](), list[tuple[Path, LogError]]()
     for path in paths:
         try:
-            logs.append(read_log(path, joints=joints, partial=True, reading=reading))
-            readable.append(path)
+            logs.append(read(path))
+            found.append(path)
         except LogError as error:
             errors.append((path, error))
     if not logs:
         raise errors[0][1]
-    return readable, logs, [f"{path.name} is not used: {error.problem}" for path, error in errors]
+    return found, logs, [f"{path.name} is not used: {error.problem}" for path, error in errors]
 
 
 def _with_columns(

@@ -14,6 +14,7 @@ from geodrake.cli.command import (
     files_of,
     found_columns,
     known_payloads,
+    readable,
     run,
 )
 from geodrake.cli.options import DigestOptions, LogCommandOptions
@@ -74,10 +75,12 @@ def _inspected(options: LogCommandOptions, given: Input) -> InspectedLogs:
     if model is not None:  # columns do not have the names of the joints of a free base
         joints = tuple(j for j in model.known_joints if j not in model.base_joints)
     reading = options.reading if model is None else reading_for(model, options.reading)
-    found = [inspect_log(log, joints=joints, partial=True, reading=reading) for log in options.logs]
-    names, logs = [*map(file_names, options.logs)], [entry.log for entry in found]
+    paths, found, unread = readable(
+        options.logs, lambda log: inspect_log(log, joints=joints, partial=True, reading=reading)
+    )
+    names, logs = [*map(file_names, paths)], [entry.log for entry in found]
     if model is None:
-        return InspectedLogs([*zip(names, found, strict=True)])
+        return InspectedLogs([*zip(names, found, strict=True)], unread=unread)
     columns, unchecked, beyond = tuple[ColumnFinding, ...](), "", list[str]()
     try:
         matched = model_of_logs(model, logs)
@@ -94,7 +97,7 @@ def _inspected(options: LogCommandOptions, given: Input) -> InspectedLogs:
             first, notes = (tuple(w for w in ws if w != hint) for ws in (entry.first, entry.notes))
             found[k] = replace(entry, first=first, notes=notes)
     named = [*zip(names, found, strict=True)]
-    return InspectedLogs(named, columns, unchecked, model.repairs, beyond)
+    return InspectedLogs(named, columns, unchecked, model.repairs, beyond, unread)
 
 
 def _beyond_limits(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:

@@ -43,6 +43,7 @@ _WRAPS = [2.0**bits * unit for bits in (16, 24, 32) for unit in (1.0, 1e-3, 1e-6
 """Times after which counters wrap, s."""
 
 _CLOCKS = 3600.0, 43_200.0, 86_400.0  # s after which clocks restart
+_USUAL = 1.2  # longest step beside a clock that was set back by a few periods, in periods
 _GAP = 1.0  # s, assumed between rows before and after a clock was set back
 
 
@@ -158,11 +159,14 @@ def going_on(time: Array, *, of_day: bool = False) -> tuple[Array, tuple[str, ..
         parts = np.diff(np.concatenate([[0], back + 1, [len(rows)]]))
         are_few = len(back) <= _MOST_SETS and parts.min() >= max(10.0, _EVEN * len(rows))
         # Corrupt rows have steps of equal size before and after them.
-        if not are_few or falls.min() < 10.0 * period or steps.max() > 0.5 * falls.max():
+        around = steps[np.clip([back - 1, back + 1], 0, len(steps) - 1)].max(axis=0)
+        is_short = falls < 10.0 * period
+        is_corrupt = is_short & (around > _USUAL * period) | (falls < 0.5 * period)
+        if not are_few or is_corrupt.any() or steps.max() > 0.5 * falls.max():
             return time, ()
         added = max(_GAP, 20.0 * period) + falls
         words = (
-            f"the clock was set back {times}by {period + falls[0]:.3g} s at row {row}, which is "
+            f"the clock was set back {times}by {period + falls[0]:.4g} s at row {row}, which is "
         )
         words += "treated as a gap"
     continued = time.copy()
@@ -263,8 +267,8 @@ def check_time(name: str, time: Array) -> None:
     is_repeated = steps[first] == 0
     fault = "runs backwards" if not is_repeated else "repeats" if steps.any() else "is constant"
     raise LogError(
-        f"Time {fault} in log {name!r}: row {before} has {time[before - 1]:.9g} s and row {after} "
-        f"has {time[after - 1]:.9g} s.",
+        f"Time {fault} in log {name!r}: row {before} has {time[before - 1]:.12g} s and row {after} "
+        f"has {time[after - 1]:.12g} s.",
         advice="Log the time at which each sample was measured, with enough digits, and sort "
         "or remove rows so that it increases."
         + (" If rows are uniform, give their rate with --rate." if is_repeated else ""),

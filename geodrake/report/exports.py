@@ -270,13 +270,14 @@ class InspectedLogs:
     unchecked: str = ""
     repairs: Sequence[str] | None = None  # of the model's file; None without a model
     beyond: Sequence[str] = ()  # positions beyond the model's limits, in sentences
+    unread: Sequence[str] = ()  # logs that cannot be read, in sentences
 
     @property
     def beside_model(self) -> dict[str, Any]:
-        """Return the findings that need a model, for JSON; empty without one."""
+        """Return unread logs and the findings that need a model, for JSON; may be empty."""
         if self.repairs is None:
-            return {}
-        notes = [*self.repairs, *self.beyond, *filter(None, [self.unchecked])]
+            return {"notes": self.unread} if self.unread else {}
+        notes = [*self.unread, *self.repairs, *self.beyond, *filter(None, [self.unchecked])]
         return {"columns": self.columns, "notes": notes}
 
 
@@ -296,7 +297,8 @@ def logs_page(found: InspectedLogs, about: About) -> Page:
             Section("Rows", items=_row_words(each)),
             notes_section(each.notes, each.first),
         ]
-    first = first_section([f"{name}: {words}" for name, each in found.logs for words in each.first])
+    words = [f"{name}: {words}" for name, each in found.logs for words in each.first]
+    first = first_section([*found.unread, *words])
     return Page(about, "", tuple(sections), of="", verdict="", first=(first,))
 
 

@@ -260,6 +260,11 @@ def test_logs_that_cannot_be_used_are_left_out_and_named(tmp_path):
     said = told("compare", PENDULUM, good, short, bad, "--quiet")
     assert "short is not used" in said and "bad.csv is not used" in said
     refused("compare", PENDULUM, short, bad)
+    empty = write(tmp_path / "empty.csv", OWN, table()[:0])
+    for given in ((), ("--model", PENDULUM)):
+        told("log", good, empty, *given, "--json", "x.json")
+        (note,) = json.loads(Path("x.json").read_text())["notes"]
+        assert note.startswith("empty.csv is not used: Log ") and "has 0 rows" in note
 
 
 def test_an_effect_to_add_names_its_place():

@@ -105,8 +105,8 @@ def test_other_layouts_of_candump(candump):
     assert_packed(read_log(packed, reading=reading))
 
 
-@pytest.mark.parametrize("suffix", [".asc", ".blf", ".trc"])
-def test_traces_of_vector_and_pcan(candump, suffix):
+@pytest.mark.parametrize("suffix", [".asc", ".blf", ".trc", ".csv"])
+def test_traces_of_vector_pcan_and_python_can(candump, suffix):
     path, reading = candump
     path = path.with_suffix(suffix)
     with can.Logger(path) as trace:
@@ -225,3 +225,58 @@ def test_lines_and_frames_that_are_not_used_are_counted(tmp_path):
     path.write_text(line(START, 0x201, False, struct.pack("<Bh", 7, 1)))
     with pytest.raises(LogError, match=r"the ids 0x201 \(1\), which do not fit; the DBC has 0x201"):
         read_log(path, reading=reading)
+
+
+GROUPS = """BO_ {id} State: 7 A
+ SG_ Position : 0|16@1- (0.0005,0) [0|0] "rad" A
+ SG_ Velocity : 16|16@1- (0.001,0) [0|0] "rad/s" A
+ SG_ Torque : 32|16@1- (0.01,0) [0|0] "Nm" A
+BA_DEF_ BO_  "VFrameFormat" ENUM  "StandardCAN","ExtendedCAN","reserved","J1939PG";
+BA_ "VFrameFormat" BO_ {id} 3;
+"""
+
+
+@pytest.mark.parametrize(("stated", "sent"), [(0x98FF0010, 0x0CFF0021), (0x98EF1410, 0x0CEF3221)])
+def test_ids_of_j1939_have_any_priority_and_source(candump, stated, sent):
+    """Motors with the same group of parameters are told by their sources."""
+    path, reading = candump
+    reading.dbc.write_text(DBC[: DBC.index("BO_ ")] + GROUPS.format(id=stated))
+    rows = [(time, sent + IDS.index(key), True, data) for time, key, _, data in frames()]
+    path.write_text("".join(line(*row) for row in rows))
+    log = read_log(path, reading=reading)
+    np.testing.assert_allclose(log.position, COUNTS[:, :, 0] * SCALES[0, 0], atol=1e-12)
+
+
+def test_several_messages_with_one_id_are_refused(candump, capfd):
+    path, reading = candump
+    again = 'BO_ 513 Again: 8 A\n SG_ X : 0|8@1- (1,0) [0|0] "" A\n'
+    reading.dbc.write_text(DBC.replace("VAL_", f"{again}VAL_"))
+    with pytest.raises(LogError, match="messages with the id 0x201: Motor1 and Again"):
+        read_log(path, reading=reading)
+    assert not "".join(capfd.readouterr())
+
+
+def test_truncated_lines_of_asc_are_counted(candump):
+    path, reading = candump
+    path = path.with_suffix(".asc")
+    with can.Logger(path) as trace:
+        for time, key, long, data in frames():
+            trace(can.Message(time, key, long, data=data, channel=1))
+    lines = path.read_text().splitlines()
+    lines[301:500:50] = [text[:30] for text in lines[301:500:50]]
+    path.write_text("\n".join(lines))
+    words = f"lines without data frames are not used: 4, such as {lines[301].strip()!r}"
+    assert words in read_log(path, reading=reading).notes
+
+
+def test_stamps_since_the_frame_before_are_added_up(candump):
+    path, reading = candump
+    rows, last = [], START
+    for k, (time, key, long, data) in enumerate(frames()):
+        stamp = time + 0.001 * (k % 2)
+        rows.append(line(stamp - last, key, long, data))
+        last = stamp
+    path.write_text("".join(rows))
+    log = read_log(path, reading=reading)
+    np.testing.assert_allclose(log.time, 0.005 * np.arange(len(COUNTS)), atol=1e-3)
+    assert "time stamps are times since the frame before: added up" in log.notes

@@ -719,6 +719,15 @@ def test_a_clock_that_was_set_back_leaves_a_gap(read_table):
     assert any("set back by 0.15 s at row 31" in note for note in log.notes)
 
 
+def test_a_clock_that_is_set_back_again_by_a_few_periods(read_table):
+    row = np.arange(ROWS)
+    columns = joint_a(TIME - 0.15 * (row >= 20) - 0.02 * (row >= 40))
+    assert "set back 2 times, first by 0.15 s at row 21" in " ".join(read_table(columns).notes)
+    columns["time"] += 0.02 * (row > 40)  # one row alone is early
+    with pytest.raises(LogError, match="runs backwards"):
+        read_table(columns)
+
+
 @pytest.mark.parametrize(("bits", "unit", "times"), [(16, "ms", 1), (32, "us", 1), (16, "us", 9)])
 def test_overflowing_time_counters_continue(read_table, bits, unit, times):
     end, time = 2.0**bits, np.arange(1000 * times) * 1e-3 * (0.59 if times > 1 else 10.0)

@@ -90,10 +90,16 @@ def most_probable(
         x, mse, H = calc_most_probable((grams, sides, places), weights, bounds, gains, (start, mse))
     except np.linalg.LinAlgError as error:
         raise singular_error() from error
-    deviation, zero = x - mean, np.zeros_like(x)
-    prior_det, log_det = (calc_solution(A, zero, _RIDGE)[1] for A in (bounds[0], H))
-    score = prior_det - log_det - deviation @ information @ deviation
+    deviation = x - mean
+    score = _log_det(bounds[0]) - _log_det(H) - deviation @ information @ deviation
     return JointFit(x, mse, float(score))
+
+
+def _log_det(A: Array) -> float:
+    """Return log |A| of a scaled matrix (p, p) whose eigenvalues are at least the ridge."""
+    scale = np.diag(A) ** -0.5
+    eigenvalues = np.linalg.eigvalsh(A * scale[:, None] * scale)
+    return float(np.log(np.maximum(eigenvalues, _RIDGE)).sum() - 2.0 * np.log(scale).sum())
 
 
 @compiled
