@@ -15,8 +15,15 @@ import geodrake
 from geodrake import effects
 from geodrake.effects import Role, Shape, catalogue
 from geodrake.effects.declarations import when_sliding
-from geodrake.effects.lookup import FAMILIES, effect_of, table_rows
+from geodrake.effects.lookup import (
+    FAMILIES,
+    effect_of,
+    file_effects,
+    servo_effects,
+    table_rows,
+)
 from geodrake.errors import ArgumentError
+from geodrake.identification.logs.servo_motion import PARAMETERS
 
 PACKAGE = Path(geodrake.__file__).parent
 TESTS = Path(__file__).parents[1]
@@ -104,6 +111,11 @@ class TestDeclarations:
     def test_shapes_are_its_own(self, effect):
         fields = inspect.signature(effect).parameters
         assert {shape.name for shape in effect.shapes} <= set(fields)
+
+
+def test_effects_of_files_and_servos_have_their_names():
+    assert all(effect.file_term.words or effect.file_term.servo for effect in file_effects())
+    assert servo_effects().keys() < {*PARAMETERS}
 
 
 def test_wrong_inertia_has_no_instance():
