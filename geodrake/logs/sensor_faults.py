@@ -242,7 +242,9 @@ class _Sensor:
                 words = f"jumps from {values} at t = {self.time[before]:.2f} s and stays there"
                 gap = longest_step(self.period) + self.period
                 first = int(np.searchsorted(self.time, self.time[before + 1] - gap))
-                yield slice(first, before + 1), f"{words}, the {before + 1 - first} rows before it"
+                if first <= before:  # otherwise there is a gap already
+                    count = f"the {before + 1 - first} rows before it"
+                    yield slice(first, before + 1), f"{words}, {count}"
 
     def _frozen(self, jumps: Indices) -> Iterator[tuple[int, int]]:
         """Yield the first and last readings of constant stretches in which the joint moves."""

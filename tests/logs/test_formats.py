@@ -303,6 +303,13 @@ def test_positions_currents_and_commands_in_three_files(tmp_path, log):
     read = read_log(f"{tmp_path}/positions.csv+{tmp_path}/currents.csv", joints=JOINTS)
     assert set(read.effort_kinds.values()) == {"current"}
     assert np.allclose(read.effort, log.effort)
+    three = "+".join(f"{tmp_path}/{name}.csv" for name in ("positions", "commands", "currents"))
+    slow = np.loadtxt(tmp_path / "commands.csv", delimiter=",", skiprows=1)[::2]
+    np.savetxt(tmp_path / "commands.csv", slow, delimiter=",", header="t,q1,q2", comments="")
+    read = read_log(three, joints=JOINTS)
+    assert len(read) == len(log) and np.allclose(read.effort, log.effort)
+    read = read_log(three, joints=JOINTS, reading=Reading(kinds={"": "command"}))
+    assert np.allclose(read.command, slow[:, 1:])
 
 
 TOLD = "/position_controller/commands"

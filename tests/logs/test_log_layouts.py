@@ -67,6 +67,15 @@ def test_no_header_and_no_time(tmp_path):
     assert np.allclose(log.time, np.arange(ROWS) / 250.0)
 
 
+def test_joined_files_without_headers_may_begin_with_time(tmp_path):
+    time, q, _, tau = motion(("a", "b"))
+    for name, values in (("q", q), ("tau", tau)):
+        np.savetxt(tmp_path / f"{name}.txt", np.column_stack([time, values]))
+    log = read_log(f"{tmp_path}/q.txt+{tmp_path}/tau.txt", joints=("a", "b"))
+    assert np.allclose(log.time, time)
+    check(log, ("a", "b"), q, None, tau)
+
+
 def test_joined_files_without_a_common_clock(tmp_path):
     time, q, _, tau = motion(("a",))
     first = write(tmp_path / "positions.csv", ["time", "a"], [time, q])
@@ -140,10 +149,10 @@ def test_corrupt_rows_are_named_and_skipped_on_request(tmp_path, kind):
 
 
 def test_at_most_one_per_cent_of_rows_is_skipped(tmp_path):
-    rows = [f"{0.01 * k:.2f},{k},{k}" if k % 50 else "x,y,z" for k in range(1000)]
+    rows = [f"{0.01 * k:.2f},{k},{k}" if k % 50 else "x,y,z" for k in range(1, 1001)]
     path = tmp_path / "log.csv"
     path.write_text("\n".join(["time,a.position,a.effort", *rows]))
-    with pytest.raises(LogError, match=r"Row 1,.*Corrupt rows are 1, 51, 101.* At most 1 %"):
+    with pytest.raises(LogError, match=r"Row 50,.*Corrupt rows are 50, 100, 150.* At most 1 %"):
         read_log(path, reading=Reading(skip_bad_rows=True))
 
 

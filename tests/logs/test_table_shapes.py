@@ -17,6 +17,7 @@ from geodrake.logs.files import read_mapping, text_file
 from geodrake.logs.files.grouped_arrays import one_after_another
 from geodrake.logs.files.reading import ColumnMapping, MappedColumn
 from geodrake.logs.files.table import LogTable
+from geodrake.logs.sensor_faults import without_faults
 
 JOINTS = ("base", "elbow")
 ROWS = 60
@@ -538,6 +539,22 @@ SHAPES = {
     "inside.yaml": text(yaml.safe_dump({"samples": LIST_RECORDS})),
     "records.yaml": text(yaml.safe_dump([{"time": float(t), "joints": {n: {"position": p,
         "effort": e} for n, p, e in each}} for t, each in REVERSED])),
+    "objects_in_cells.csv": table(pandas.DataFrame({"t": TIME,
+        "position": [str(dict(zip(JOINTS, q, strict=True))) for q in POSITION.tolist()],
+        "effort": [json.dumps(dict(zip(JOINTS, x, strict=True)) | {"other": None})
+        for x in EFFORT.tolist()]})),
+    "a_row_a_signal.csv": table(pandas.concat([pandas.DataFrame({"time": TIME, "signal": signal,
+        **dict(zip(JOINTS, x.T, strict=True))}) for signal, x in (("pos", POSITION),
+        ("tau", EFFORT))]).sort_values("time", kind="stable")),
+    "lists_a_joint.json": text(json.dumps({"meta": {"sample_rate": 100, "joints": JOINTS},
+        "signals": {"position": POSITION.T.tolist(), "torque": EFFORT.T.tolist()}})),
+    "rate_of_groups.h5": in_hdf5({f"joints/{n}/{q}": x[:, k] for k, n in enumerate(JOINTS)
+        for q, x in (("position", POSITION), ("torque", EFFORT))}
+        | {"sampling_rate_hz": np.array([100.0])}),
+    "remarks.csv": text("t,q1,q2,tau1,tau2,\ns,rad,rad,Nm,Nm,\nclock,encoder,encoder,,sensor,\n"
+        + PLAIN.to_csv(index=False, header=False).replace("\n", ",\n")),
+    "echo_without_velocity.csv": table(echo_of_ros2().assign(empty="").iloc[
+        :, [*range(7), -1, 9, 10]], header=False),
 }  # fmt: skip
 """Name of a file -> a function that writes it."""
 MOVING = ("RTDE.csv", "libfranka.csv", "no_moteus.csv", "matrices.npz", "of_UR_primary.jsonl",
@@ -1154,6 +1171,17 @@ def test_a_mapping_selects_among_too_many_arrays(tmp_path, monkeypatch):
     log = read_log(path, joints=JOINTS, reading=Reading(mapping=mapping))
     np.testing.assert_array_equal(log.position, POSITION)
     np.testing.assert_array_equal(log.effort, EFFORT)
+
+
+def test_an_episode_that_begins_elsewhere_is_no_fault(tmp_path):
+    with h5py.File(tmp_path / "demos.hdf5", "w") as file:
+        file["data/dt"] = 0.01
+        for number in (0, 1):
+            file[f"data/demo_{number}/joint_pos"] = POSITION + 60.0 * number
+            file[f"data/demo_{number}/joint_torque"] = EFFORT
+    log = without_faults(read_log(tmp_path / "demos.hdf5"))
+    assert np.count_nonzero(np.isfinite(log.position).all(axis=1)) == 2 * ROWS
+    assert not any("jumps" in note for note in log.notes)
 
 
 def test_demonstrations_without_time_need_a_rate(tmp_path):

@@ -26,6 +26,7 @@ from geodrake.logs.files.array_files import (
     read_yaml,
 )
 from geodrake.logs.files.can_traces import BEGINNING, FIRST, TRACES, read_trace
+from geodrake.logs.files.column_mapping import likely_clock
 from geodrake.logs.files.grouped_arrays import regrouped
 from geodrake.logs.files.joined_tables import joined_tables
 from geodrake.logs.files.message_logs import MAGIC, read_bag, read_lcm
@@ -213,7 +214,9 @@ def _named_table(path: Path, reading: Reading) -> LogTable:
         return table.renamed(
             {c: f"{j}.command" if j != c else f"command_{c}" for c, j in joint_of.items()}
         )
-    bare = [column for column in table.columns if not table.is_time(column)]
-    return table.renamed(
-        {c: f"{quantity}_{c}" if c.isdecimal() else f"{c}.{quantity}" for c in bare}
-    )
+    bare, clock = [column for column in table.columns if not table.is_time(column)], "time"
+    if all(map(str.isdecimal, table.columns)):  # no header
+        found, _, is_sure = likely_clock(table)
+        clock = found.column if found is not None and is_sure else clock
+    names = {c: f"{quantity}_{c}" if c.isdecimal() else f"{c}.{quantity}" for c in bare}
+    return table.renamed(names | {clock: "time"})

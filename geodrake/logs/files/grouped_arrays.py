@@ -190,7 +190,10 @@ def grouped_table(path: Path, content: Any, reading: Reading) -> LogTable | None
         return None
     is_unique = len({name[-1:] for name, _ in parts}) == len(parts)
     named = [(".".join(name[-1:] if is_unique else name), each) for name, each in parts]
-    return joined_tables(path, [_part(name, each) for name, each in named], reading)
+    table = joined_tables(path, [_part(name, each) for name, each in named], reading)
+    scalars = fields_of(content) if isinstance(content, Mapping) else ()
+    rates = ((rate, name) for name, x in scalars if (rate := rate_in(name, x)) is not None)
+    return replace(table, rate=table.rate or next(rates, None))
 
 
 def _episodes_in(content: Any, *, least: int) -> dict[int, Mapping[str, Any]]:

@@ -34,6 +34,7 @@ from geodrake.logs.files.name_rules import (
     number_of,
     numbers_joints,
     plain_words,
+    quantity_of,
     tells,
     tells_clock,
     without_unit,
@@ -92,8 +93,11 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
                 advice="Write it with more digits, sort rows by it, or cut them where a clock was "
                 "set back.",
             )
-    fast = [period for period in periods if period <= _MIXED * min(periods)]
-    base = next(k for k, p in enumerate(periods) if p in fast and p >= _ALIKE * max(fast))
+    beside = _beside_efforts(tables, reading)
+    fast = [k for k, period in enumerate(periods) if period <= _MIXED * min(periods)]
+    decide = [k for k in fast if not beside[k]] or fast
+    slowest = max(periods[k] for k in decide)
+    base = next(k for k in decide if periods[k] >= _ALIKE * slowest)
     tables, slow_notes, rare = _slow_parts(log, tables, periods, reading)
     if not max(map(np.nanmin, times)) < min(map(np.nanmax, times)):
         spans = (f"{np.nanmin(t):.6g} to {np.nanmax(t):.6g} s" for t in times)
@@ -169,6 +173,25 @@ def _parts_of_model(tables: Sequence[LogTable], reading: Reading) -> Sequence[Lo
     first, *others = [table for table, used in zip(tables, known, strict=True) if used]
     extra = [m.column for each, used in zip(parts, known, strict=True) if not used for m in each]
     return [first.noting(f"not used, as the model has no such joints: {listed(extra)}"), *others]
+
+
+def _beside_efforts(tables: Sequence[LogTable], reading: Reading) -> list[bool]:
+    """Return whether each table has commands only, of joints whose efforts others have."""
+    parts = [joint_columns(table.columns, reading.joints) for table in tables]
+    told = [[m.quantity == "command" or m.is_wanted for m in each] for each in parts]
+    joint_of = matched([m for each in parts for m in each], reading.joints)[0]
+    joints = [{joint_of.get(m.column) for m in each} for each in parts]
+    driven = {
+        joint_of.get(m.column)
+        for each, are_told in zip(parts, told, strict=True)
+        for m, is_told in zip(each, are_told, strict=True)
+        if m.log_quantity == "effort" and not is_told
+    }
+    is_used = reading.mapping is not None or "command" in reading.kinds.values()
+    return [
+        not is_used and each != [] and all(each) and own <= driven
+        for each, own in zip(told, joints, strict=True)
+    ]
 
 
 def _repeated(columns: Sequence[str]) -> list[str]:
@@ -433,18 +456,22 @@ def reshaped(table: LogTable, reading: Reading) -> LogTable:
 def _spread_values(
     table: LogTable, words: Mapping[str, Texts], reading: Reading
 ) -> LogTable | None:
-    """Give each signal its own column, if each row contains one value of one signal."""
+    """Give each signal its own column, if each row contains one signal, of one or all joints."""
     signals = sorted((n for n in words if tells(n, "signals")), key=lambda n: len({*words[n]}) < 2)
     signal = next(iter(signals), None)
-    value = [n for n in table.columns if meaning_of(n) is None and "value" in plain_words(n)]
+    others = [n for n in table.columns if meaning_of(n) is None]
+    ends = {n: "" for n in others if "value" in plain_words(n)}
+    if signal is not None and not ends and all(map(quantity_of, {*words[signal]})):
+        ends = {n: f".{n}" for n in others}  # columns of joints
     has_time = any(map(table.is_time, table.columns))
-    if signal is None or not value or not has_time or joint_columns(table.columns):
+    if signal is None or not ends or not has_time or joint_columns(table.columns):
         return None
     of_joints = next((w for n, w in words.items() if n != signal and names_joints(n)), None)
     names = words[signal] if of_joints is None else of_joints + "." + words[signal]
     if len({*names}) > _MOST_SIGNALS:
         return None
-    return _merged_rows(table, signal, names, {value[0]: ""}, reading)
+    ends = ends if any(ends.values()) else dict([*ends.items()][:1])
+    return _merged_rows(table, signal, names, ends, reading)
 
 
 def _items(column: str, cells: Texts) -> Iterator[tuple[str, Texts]]:

@@ -485,7 +485,7 @@ _HIGHEST_RATE = 1e5
 def rate_in(name: str, value: Any) -> float | None:
     """Return the sampling rate if a scalar is named as a rate or period; None otherwise."""
     word = re.sub(r"[^a-z]", "", re.split(r"[./]", name.lower())[-1])
-    is_rate = word in WORDS["rates"].split()
+    is_rate = not {word, word.removesuffix("hz")}.isdisjoint(WORDS["rates"].split())
     if not _is_alone(value) or not (is_rate or word in WORDS["periods"].split()):
         return None
     number = number_in(value) or np.nan
@@ -529,11 +529,17 @@ def _is_alone(value: Any) -> bool:
     return np.isscalar(value) or getattr(value, "shape", None) == ()
 
 
+def are_lists(values: Any) -> bool:
+    """Return whether the values are a list that begins with a list."""
+    return isinstance(values, list) and isinstance(next(iter(values), None), list)
+
+
 def rows_of(arrays: Mapping[str, Any]) -> int:
     """Return the number of rows of a log: the length of its time, or of most arrays."""
     longer = {name: values for name, values in arrays.items() if not _is_alone(values)}
     timed = {n: x for n, x in longer.items() if is_time(n) and max(np.shape(x)) == np.size(x)}
-    lengths = [max(getattr(x, "shape", (len(x),))) for x in (timed or longer).values()]
+    lengths = [max(map(len, (x, *x[:1]))) if are_lists(x) else max(getattr(x, "shape", (len(x),)))
+               for x in (timed or longer).values()]  # fmt: skip
     return max(set(lengths), key=lambda length: (lengths.count(length), length), default=0)
 
 

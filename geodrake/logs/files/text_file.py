@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import json
 import re
 from array import array
+from ast import literal_eval
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -79,6 +81,7 @@ _MEASURED = re.compile(r"[+-]?\d+[.,]\d+([eE][+-]?\d+)?")
 _HEADS = [head.split() for head in WORDS["heads"]]
 _SEVERAL = re.compile(r"(.*?[^\W\d])[\[({](\d+)[\])}](\s*[\[(][^\d\W].*)?")  # q[6] [rad]
 _SPAN = re.compile(r"(.*?)(\d+)(?:-|–|:|\.{2,3}|…|\s+to\s+)(?:\1)?(\d+)(.*)")  # q1-q6, q_0..5
+_FIELDS = re.compile(r"\s*\{\s*(['\"]).*?\1\s*:")  # of an object in a cell
 _EXCEL = re.compile(r'"?sep=(.)"?')  # first line of files for Excel
 
 
@@ -183,8 +186,9 @@ def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout
         header = _told_apart(header)
         units = _units(header, lines[begin].split(separator))
         names, begin = _with_units(header, units), begin + bool(units)
-        while sum(map(bool, _cells_of(lines[begin], separator))) == 1 < len(names):
-            begin += 1  # skip a title above the numbers
+        is_above = is_aligned and begin < data
+        while _is_remark(_cells_of(lines[begin], separator), names, is_above=is_above):
+            begin, is_above = begin + 1, is_above and begin + 1 < data
     layout = TextLayout(tuple(names), separator, ".", begin, units, unnamed, is_keyed)
     below = lines[begin : begin + _LINES_AHEAD]
     if _MAY_BE_MARKED[separator].search("".join(below)):
@@ -340,14 +344,21 @@ def _of_levels(name: str, below: str) -> str:
 
 
 def _joint_state(cells: Sequence[str]) -> tuple[str, ...]:
-    """Return column names if the cells are a JointState from ROS's `topic echo`, or none."""
+    """Return column names if the cells are a JointState from ROS's `topic echo`, or none.
+
+    An empty cell stands for an empty list.
+    """
     for head in _HEADS:
-        count, odd = divmod(len(cells) - len(head), 4)
-        names, rest = cells[len(head) : len(head) + count], cells[len(head) + count :]
+        rest = cells[len(head) :]
+        count = next((k for k, cell in enumerate(rest) if not cell or is_number(cell)), 0)
+        columns, at = [*head, *(f"name{k}" for k in range(count))], count
+        for name in ("position", "velocity", "effort"):
+            block = rest[at : at + (count if "".join(rest[at : at + 1]) else 1)]
+            columns += [f"{name}{k}" for k in range(count)] if block != [""] else [f"no {name}"]
+            at += len(block) if block == [""] or _are_numbers(block) else 0
         is_stamp = all(cell.isdecimal() for cell in cells[: len(head) - 1])
-        if odd == 0 < count and is_stamp and _are_numbers(rest) and not any(map(is_number, names)):
-            fields = ("name", "position", "velocity", "effort")
-            return (*head, *(f"{field}{k}" for field in fields for k in range(count)))
+        if is_stamp and count and len(columns) == len(cells) == len(head) + at:
+            return tuple(columns)
     return ()
 
 
@@ -360,6 +371,12 @@ def _first_cells(layout: TextLayout, lines: Sequence[str]) -> dict[str, str]:
                 if name not in first and not is_nothing(cell):
                     first[name] = cell
     return first
+
+
+def _is_remark(cells: Sequence[str], names: Sequence[str], *, is_above: bool) -> bool:
+    """Return whether a row below the header is a title, or words above the numbers."""
+    is_title = sum(map(bool, cells)) == 1 < len(names)
+    return is_title or (is_above and any(cells) and not any(map(is_number, cells)))
 
 
 def _units(header: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
@@ -664,7 +681,31 @@ def _text_table(path: Path, reading: Reading, opened: Opener) -> LogTable:
     is_long = names_rows and reading.mapping is None
     is_long |= any(tells(name, "signals") for name in layout.words)
     is_long |= any(tells(name, "robots", "recordings") for name in layout.names)
-    return table.loaded(skip=reading.skip_bad_rows) if is_long else table
+    fields = [name for name in layout.words if _FIELDS.match(layout.first[name])]
+    fields = [name for name in fields if meaning_of(name) is not None]
+    loaded = table.loaded(skip=reading.skip_bad_rows) if is_long or fields else table
+    return _with_fields(loaded, fields) if fields else loaded
+
+
+def _with_fields(table: LogTable, names: Sequence[str]) -> LogTable:
+    """Give the fields in cells such as `{'elbow': 0.1}` their own columns, `position.elbow`."""
+    columns = dict(table.columns)
+    for name in names:
+        with readable(table.path, f"table, as objects in {name!r} have no numbers by their names"):
+            rows = [_object(cell) for cell in table.words[name]]
+            for key in dict.fromkeys(key for row in rows for key in row):
+                columns[f"{name}.{key}"] = np.array([row.get(key) for row in rows], float)
+    silent = {name: why for name, why in table.silent.items() if name not in names}
+    words = {name: cells for name, cells in table.words.items() if name not in names}
+    return replace(table, columns=columns, silent=silent, words=words)
+
+
+def _object(text: str) -> dict[str, Any]:
+    """Return the object that a text of Python or JSON represents."""
+    try:
+        return dict(literal_eval(text or "{}"))
+    except (SyntaxError, ValueError):  # constants of JSON, such as null
+        return dict(json.loads(text))
 
 
 def _blocks(path: Path, opened: Opener, skip: int = 0) -> Iterator[tuple[int, bytes]]:
