@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -277,6 +278,7 @@ _NEAR_ZERO, _TOUCHES = 0.03, 4  # of the largest effort, and least number of ret
 _MOST_AMPERES = 300.0
 _LOOKS = 200  # samples of a position, so that noise causes few reversals
 _LEAST_MRAD, _MOST_DEGREES = 400.0, 3600.0  # ten turns
+_FILLS = 0.9  # least share of the counts of a turn that an angle which wraps takes
 _LEAST_TICKS = 100.0  # more than the reach of any joint in rad
 _FEW = 0.01  # share of samples that may be spikes
 _BEYOND = 0.01  # of a range, by which a joint may exceed its limits
@@ -327,6 +329,8 @@ def position_unit_hint(log: JointLog) -> str | None:
     if any(map(_CONVERTED.match, log.notes)):
         return None
     worst = int(np.argmax(peaks))
+    if are_whole(log.position[:_ROWS]) and peaks[worst] >= _LEAST_TICKS:
+        return None  # see `check_ticks`
     farthest = f"{log.joints[worst]} reaches {peaks[worst]:.4g}, and most joints exceed 10"
     if not _are_far(peaks):
         return None
@@ -348,10 +352,14 @@ def check_ticks(log: JointLog) -> None:
     worst = int(np.argmax(peaks))
     if not _LEAST_TICKS <= peaks[worst] <= LARGEST:
         return
+    known = log.position[np.isfinite(log.position)]
+    turn = 2 ** math.ceil(math.log2(peaks[worst] + 1.0))
+    fills = known.min() >= 0.0 and np.ptp(known) > _FILLS * turn
+    advice = f"They fill {turn}: --units position=rev/{turn} if that is a turn. " if fills else ""
     raise LogError(
         f"Positions of log {log.name!r} are integers of up to {peaks[worst]:.7g} at "
         f"{log.joints[worst]}, which no joint reaches in rad or m.",
-        advice=_UNIT_ADVICE,
+        advice=advice + _UNIT_ADVICE,
     )
 
 

@@ -318,8 +318,13 @@ def test_large_integer_positions_are_refused_early(scale):
     raw = replace(log(WITHIN), position=ticks)
     with pytest.raises(LogError, match=r"no joint reaches in rad or m\. .*mm .*rev/4096@2048"):
         make_uniform(raw)
-    make_uniform(replace(raw, position=ticks + 0.5))
-    assert ("neither rad nor degrees" in position_unit_hint(raw)) == (scale > 3600.0)
+    apart = replace(raw, position=ticks + 0.5)
+    make_uniform(apart)
+    assert position_unit_hint(raw) is None
+    assert ("neither rad nor degrees" in position_unit_hint(apart)) == (scale > 3600.0)
+    turning = np.mod(np.linspace(-200.0, 300.0, len(raw))[:, None] + [0.0, 70.0], 16384.0)
+    with pytest.raises(LogError, match=r"They fill 16384: --units position=rev/16384 if"):
+        make_uniform(replace(raw, position=np.rint(turning)))
 
 
 def test_units_of_positions_and_efforts():

@@ -429,8 +429,9 @@ def test_counts_of_an_encoder_are_shares_of_a_turn(read_table, name):
     words = r"in counts of unknown resolution.*--units position=rev/4096"
     with pytest.raises(LogError, match=words):
         read_table(columns, JOINTS)
-    log = read_table(columns, JOINTS, units={"position": "rev/409600@204800"})
-    np.testing.assert_allclose(log.position, Q, atol=np.pi / 4096.0)
+    for unit, turns in (("rev/409600@204800", 1.0), ("rev/4096.5@204800", 409600 / 4096.5)):
+        log = read_table(columns, JOINTS, units={"position": unit})
+        np.testing.assert_allclose(log.position / turns, Q, atol=np.pi / 4096.0)
 
 
 def test_the_zero_of_ticks_is_where_the_model_has_its_limits(read_table):

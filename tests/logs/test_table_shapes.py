@@ -464,6 +464,11 @@ SHAPES = {
     "GB18030.csv": under("时间,关节1位置,关节2位置,关节1力矩,关节2力矩", encoding="gb18030"),
     "Shift-JIS.csv": under("時刻,軸1位置,軸2位置,軸1トルク,軸2トルク", encoding="shift_jis"),
     "Windows-1251.csv": under("время,положение 1,положение 2,момент 1,момент 2", encoding="cp1251"),
+    "Windows-1250.csv": under("czas;Kąt 1;Kąt 2;Moment 1;Moment 2", encoding="cp1250",
+        separator=";"),
+    "Windows-1254.csv": under("zaman,Açı 1,Açı 2,Tork 1,Tork 2", encoding="cp1254"),
+    "Czech.csv": under("Čas [s],Poloha 1 [rad],Poloha 2 [rad],Moment 1,Moment 2",
+        encoding="cp1250"),
     "UTF-16-LE.csv": under("time,q1,q2,tau1,tau2", encoding="utf-16-le"),
     "two_clocks.csv": table(pandas.DataFrame({"t_q_ms": 1e3 * TIME, "q1": POSITION[:, 0],
         "q2": POSITION[:, 1], "t_tau": TIME, "tau1": EFFORT[:, 0], "tau2": EFFORT[:, 1]})),
@@ -525,6 +530,11 @@ SHAPES = {
     "ODrive_names.csv": logger("t", "node{}.Pos_Estimate", "node{}.Torque_Estimate", (0, 1),
         0.5 / np.pi),
     "theta.csv": logger("t", "th{}", "tau{}"),
+    "d_behind_numbers.csv": table(pandas.DataFrame({"t": TIME} | {f"{name.format(k + 1)}": x[:, k]
+        for name, x in (("q{}", POSITION), ("q{}d", VELOCITY), ("q{}dd", EFFORT),
+        ("tau{}", EFFORT)) for k in (0, 1)})),
+    "DDot.csv": numbered("theta q thetaDot v thetaDDot tau torque tau"),
+    "plural.npz": arrays(ts=TIME, qs=POSITION, qds=VELOCITY, qdds=EFFORT, taus=EFFORT),
     "commas_in_names.csv": text("t;q1, rad;q2, rad;tau1, Nm;tau2, Nm\n" + PLAIN.to_csv(
         index=False, header=False, sep=";", decimal=",")),
     "KUKA_Sunrise.log": table(PLAIN.assign(time=np.rint(1e9 * TIME), s=0)[["s", *PLAIN]].set_axis(
@@ -557,8 +567,10 @@ SHAPES = {
         :, [*range(7), -1, 9, 10]], header=False),
 }  # fmt: skip
 """Name of a file -> a function that writes it."""
-MOVING = ("RTDE.csv", "libfranka.csv", "no_moteus.csv", "matrices.npz", "of_UR_primary.jsonl",
-    "states.csv", "states_in_turn.npz")  # fmt: skip
+DERIVED = ("d_behind_numbers.csv", "DDot.csv", "plural.npz")
+"""Files with accelerations."""
+MOVING = (*DERIVED, "RTDE.csv", "libfranka.csv", "no_moteus.csv", "matrices.npz",
+    "of_UR_primary.jsonl", "states.csv", "states_in_turn.npz")  # fmt: skip
 """Files with velocities."""
 CURRENTS = ("RTDE.csv", "KUKA 1.csv", "ODrive.csv", "Elmo.csv")
 SAYING = {
@@ -584,10 +596,11 @@ def test_a_table_of_any_shape_is_the_same_log(tmp_path, name):
     np.testing.assert_allclose(log.effort, EFFORT, atol=1e-12)
     if name in MOVING:
         np.testing.assert_allclose(log.velocity, VELOCITY, atol=1e-12)
+    assert (log.acceleration is not None) == (name in DERIVED)
     assert name not in CURRENTS or set(log.effort_kinds.values()) == {"current"}
     noted = " ".join(log.notes)
     assert "thousands" not in noted
-    assert ("cp1251" in noted) == (name == "Windows-1251.csv")
+    assert ("cp125" in noted) == (name.startswith(("Windows-12", "Czech")))
     for words in SAYING.get(name, ()):
         assert words in noted
 

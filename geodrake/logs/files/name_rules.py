@@ -157,12 +157,17 @@ def meanings_of(names: Iterable[str], joints: Sequence[str] = ()) -> list[Meanin
     as in `wrist_angle`.
     """
     names = list(names)
+    known = frozenset(names)
     full_names = {_split(joint): joint for joint in joints if _has_name(joint)}
     roman = _roman_numbers(names)
     of_model = {number: joint for joint, (_, number) in _roman_numbers(joints).items()}
     meanings = list[Meaning]()
     for name in names:
         plain, number = roman.get(name, (name, 0))
+        stem = plain.rstrip("d")
+        derived = {f"{stem}d": f"{stem}_dot", f"{stem}dd": f"{stem}_ddot"}
+        if derived.keys() | {stem} <= known:  # q1, q1d, q1dd
+            plain = derived.get(plain, plain)
         others = {_Q.sub("d", plain), plain.replace("current", "voltage")} - {plain}
         if "current" in plain and not others.isdisjoint(names):
             plain = _Q.sub("iq", plain)  # q-axis current beside d, not a position

@@ -607,14 +607,25 @@ def read_text(path: Path, reading: Reading) -> LogTable:
     return table.noting(note) if note else table
 
 
-_CODECS = ("cp1252", "gb18030", "shift_jis", "euc_kr", "big5", "cp1251", "mac_roman")
+_CODECS = (
+    "cp1252",
+    "cp1250",
+    "cp1254",
+    "gb18030",
+    "shift_jis",
+    "euc_kr",
+    "big5",
+    "cp1251",
+    "mac_roman",
+)
 """Encodings recognized by known words."""
 
 
 # A single letter proves nothing, except for East Asian ones, which have three bytes in UTF-8.
 _LETTERS = (word for word in re.findall(r"\w+", str(WORDS)) if not word.isascii())
 _FOREIGN = re.compile(
-    "|".join(sorted((w for w in _LETTERS if len(w.encode()) > 2), key=len, reverse=True))
+    "|".join(sorted((w for w in _LETTERS if len(w.encode()) > 2), key=len, reverse=True)),
+    re.IGNORECASE,
 )
 _BEGINNING = 10_000  # bytes that contain the column names
 

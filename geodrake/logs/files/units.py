@@ -46,8 +46,8 @@ _SPELLINGS = {
     for spelling in spellings.split()
 }
 _SCALED = re.compile(
-    r"(?:(?P<factor>\d*\.?\d+(?:[eE][+-]?\d+)?)[\s*·]*)?(?P<unit>[^\d@]+?)(?:/(?P<share>\d+))?"
-    r"(?:@(?P<zero>-?\d+\.?\d*))?"
+    r"(?:(?P<factor>\d*\.?\d+(?:[eE][+-]?\d+)?)[\s*·]*)?(?P<unit>[^\d@]+?)"
+    r"(?:/(?P<share>\d+\.?\d*))?(?:@(?P<zero>-?\d+\.?\d*))?"
 )
 _TEN = re.compile(r"10*(\.0*)?|0?\.0*10*|1(\.0*)?[eE][+-]?\d+")  # powers of ten
 _FORM = (
