@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Hashable
+from collections.abc import Callable, Collection, Hashable, Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.log_model import Fit, LogModel
-from geodrake.diagnosis.moves import neighbours
+from geodrake.diagnosis.moves import neighbours, together
 from geodrake.effects.base import Effect
 
 Array = NDArray[np.float64]
@@ -23,6 +23,8 @@ _COUNTED = 20  # best neighbours that are refitted with the present sample sizes
 _ANY = 10_000  # exceeds the number of neighbours
 _JUDGED = 5
 """Number of best neighbours whose effective sample sizes are recomputed."""
+
+_LEAST_GAIN = 1e-6
 
 Watch = Callable[[Fit, Fit], None]
 """Callback with the explanations before and after each step."""
@@ -124,12 +126,18 @@ def _step(
         choices = [each.choice for each in fits[:_COUNTED]]
         promising += model.ranked(choices, shares, fit.noise)[:_JUDGED]
         promising += sorted(fits, key=lambda each: -_potential(model, fit, each, high))[:further]
-    best, gain = None, 1e-6
-    for other in {each.choice.key: each for each in promising}.values():
-        result = gain_of(model, fit, other, optimistic=optimistic)
-        if result is not None and result[0] > gain:
-            gain, best = result
-    return best
+    better = list[tuple[float, Fit]]()
+
+    def judge(others: Iterable[Fit]) -> None:
+        results = (gain_of(model, fit, other, optimistic=optimistic) for other in others)
+        better.extend(each for each in results if each is not None and each[0] > _LEAST_GAIN)
+        better.sort(key=lambda each: -each[0])
+
+    judge({each.choice.key: each for each in promising}.values())
+    several = together(model, fit, [other.choice for _, other in better])
+    if several is not None and several.key not in seen:
+        judge(model.ranked([several], high, fit.noise))
+    return better[0][1] if better else None
 
 
 def _potential(model: LogModel, fit: Fit, other: Fit, shares: Array) -> float:

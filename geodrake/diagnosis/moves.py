@@ -50,8 +50,13 @@ def neighbours(
     finder = _MoveFinder(model, fit, common=common)
     moves = finder.moves() if joints is None else finder.rebuilds(joints)
     promising = sorted(moves, key=lambda move: -move.gain)
+    delayed = [] if joints is not None else [*finder.delays()]
     best = list({move.choice.key: move for move in promising}.values())[:most]
     choices = [move.choice for move in best]
+    gaining = [move for move in (*promising, *delayed) if move.gain > 0.0]
+    gaining.sort(key=lambda move: -move.gain)
+    if (several := together(model, fit, [move.choice for move in gaining])) is not None:
+        choices.append(several)
     if joints is not None:
         return choices
     choices += finder.white_noise_additions(further)
@@ -64,14 +69,34 @@ def neighbours(
         choices += [move.choice, *finder.other_widths(move)]
     for choice in finder.payload_removals():
         choices += [each for each in other_widths(model, choice) if each.width > fit.choice.width]
-    previous, base = fit.choice, finder.base
-    for delay, gain in finder.around.delays():
-        delayed = replace(previous, delay=delay)
-        if gain + base - model.odds_against(delayed) > _HOPE:
-            choices.append(delayed)
-        if len({*delay}) == 1:
-            choices += _without_needless(model, fit, delayed)
+    choices += [move.choice for move in delayed if move.gain > _HOPE]
+    for move in delayed:
+        if len({*move.choice.delay}) == 1:
+            choices += _without_needless(model, fit, move.choice)
     return choices
+
+
+def together(model: LogModel, fit: Fit, choices: Iterable[Choice]) -> Choice | None:
+    """Return a neighbour with the changes of the first choice at each joint; None if of one joint.
+
+    Choices count that change the effects or the delay of a single joint.
+    """
+    names, previous, first = model.model.joints, fit.choice, dict[str | None, Choice]()
+    for choice in choices:
+        changed = {term.joint for term in {*previous.terms} ^ {*choice.terms}}
+        changed |= {
+            joint
+            for joint, one, other in zip(names, previous.delay, choice.delay, strict=True)
+            if one != other
+        }
+        if len(changed) == 1 and None not in changed and choice.width == previous.width:
+            first.setdefault(changed.pop(), choice)
+    terms = [term for term in previous.terms if term.joint not in first]
+    terms += [t for joint, choice in first.items() for t in choice.terms if t.joint == joint]
+    if len(first) < 2 or not model.are_compatible(tuple(terms)):
+        return None
+    delay = [first.get(name, previous).delay[k] for k, name in enumerate(names)]
+    return model.choice(previous, terms, delay=tuple(delay))
 
 
 def additions(model: LogModel, fit: Fit) -> list[Fit]:
@@ -189,19 +214,25 @@ class _MoveFinder:
         ]
         return sorted((m for m in moves if m.gain > _HOPE), key=lambda move: -move.gain)
 
+    def delays(self) -> Iterator[Move]:
+        """Delay the efforts of one joint, or of all."""
+        for delay, gain in self.around.delays():
+            delayed = replace(self.fit.choice, delay=delay)
+            yield Move(delayed, gain + self.base - self.model.odds_against(delayed))
+
     def additions(self) -> Iterator[Move]:
-        """Add one term, the best of every joint together, or one kind at all joints."""
+        """Add one term, or one kind at all joints."""
         present = self.fit.terms
         moves = self._moves(present, [(term,) for term in self._absent], most=None)
-        yield from moves[:_MOST]
-        best, kinds = dict[str, tuple[Term, float]](), dict[str, dict[str, tuple[Term, float]]]()
-        for move in moves:
+        kinds, seen = dict[str, dict[str, tuple[Term, float]]](), set[str | None]()
+        for k, move in enumerate(moves):
             (term,) = move.added
+            if k < _MOST or term.joint not in seen:
+                yield move
+            seen.add(term.joint)
             if term.joint is not None:
                 kinds.setdefault(term.name, {}).setdefault(term.joint, (term, move.gain))
-                if move.gain > 0.0:
-                    best.setdefault(term.joint, (term, move.gain))
-        for group in (best, *kinds.values()):
+        for group in kinds.values():
             if len(group) > 1:
                 terms, gains = zip(*group.values(), strict=True)
                 yield Move(self._choice((*present, *terms)), sum(gains))
@@ -231,7 +262,7 @@ class _MoveFinder:
 
     def rebuilds(self, joints: Collection[str]) -> Iterator[Move]:
         """Choose the own effects of some joints again: one, a pair, or with simple ones."""
-        present, best, removed = self.fit.terms, list[Move](), set[Term]()
+        present = self.fit.terms
         for joint in joints:
             present_here = [term for term in present if term.joint == joint]
             rest = tuple(term for term in present if term not in present_here)
@@ -239,16 +270,7 @@ class _MoveFinder:
                 continue
             dropped = self.around.dropped(present_here) if present_here else None
             offered = self._packages(self.by_joint.get(joint, []), present_here, dropped)
-            moves = self._moves(rest, offered, dropped)
-            yield from moves
-            if moves and moves[0].gain > 0.0:
-                best.append(moves[0])
-                removed.update(present_here)
-        if len(best) > 1:
-            kept = [term for term in present if term not in removed]
-            terms = (*kept, *(term for move in best for term in move.added))
-            if self.model.are_compatible(terms):
-                yield Move(self._choice(terms), sum(move.gain for move in best))
+            yield from self._moves(rest, offered, dropped)
 
     def _packages(
         self, offered: list[Term], present: list[Term], dropped: Dropped | None

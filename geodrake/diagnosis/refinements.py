@@ -138,17 +138,23 @@ _STEPS = (1.0 / 3.0, 1.0 / 12.0, 1.0 / 48.0)
 LEVELS = len(_STEPS)
 
 
-def _finer(effect: Effect, grid: Sequence[Effect], share: float) -> list[Effect]:
-    """Return neighbours of an effect's shape, up to two on either side.
+def _varied(effect: Effect, grid: Sequence[Effect]) -> tuple[str, Array] | None:
+    """Return the only parameter of a shape that varies continuously on a grid, and its values.
 
-    The result is empty unless exactly one parameter varies continuously on the grid; one with two
-    values is a choice.
+    A parameter with two values is a choice. The result is None unless all values are positive.
     """
-    values = _values(effect, grid)
-    varied = [(name, found) for name, found in values.items() if len(found) > 2]
+    varied = [(name, found) for name, found in _values(effect, grid).items() if len(found) > 2]
     if len(varied) != 1 or not all(isinstance(x, float) and x > 0.0 for x in varied[0][1]):
+        return None
+    return varied[0][0], np.sort(np.array([*varied[0][1]]))
+
+
+def _finer(effect: Effect, grid: Sequence[Effect], share: float) -> list[Effect]:
+    """Return neighbours of an effect's shape, up to two on either side."""
+    varied = _varied(effect, grid)
+    if varied is None:
         return []
-    name, known = varied[0][0], np.sort(np.array([*varied[0][1]]))
+    name, known = varied
     value, gaps = getattr(effect, name), np.diff(np.log(known))
     index = int(np.clip(np.searchsorted(known, value) - 1, 0, len(gaps) - 1))
     steps = share * gaps[index] * np.array([-2.0, -1.0, 1.0, 2.0])
@@ -156,6 +162,42 @@ def _finer(effect: Effect, grid: Sequence[Effect], share: float) -> list[Effect]
     values_near = [float(f"{value * factor:.9g}") for factor in np.exp(steps)]
     neighbours = [replace(effect, **{name: each}) for each in values_near]  # type: ignore[type-var]
     return [e for e in neighbours if e.distinct and bool(e.refines) == bool(effect.refines)]
+
+
+def gain_of_finer_shape(model: LogModel, fit: Fit, term: Term, grid: Sequence[Effect]) -> float:
+    """Return the gain in score between a term's shape and its neighbours, by a parabola.
+
+    It is infinite if a neighbour is missing.
+    """
+    varied = None if term.effect is None else _varied(term.effect, grid)
+    if varied is None:
+        return float("inf")
+    name, _ = varied
+    same = [
+        other
+        for other in model.terms
+        if other.key == term.key
+        and (other is term or other.effect != term.effect)
+        and _alike(other.effect, term.effect, name)
+    ]
+    same.sort(key=lambda t: float(getattr(t.effect, name)))
+    at = same.index(term)
+    if not 0 < at < len(same) - 1:
+        return float("inf")
+    rest = [t for t in fit.terms if t.key != term.key]
+    choices = [model.choice(fit.choice, [*rest, t]) for t in same[at - 1 : at + 2]]
+    fits = [model.fit(choice, model.shares(fit), fit.noise) for choice in choices]
+    if any(each is None for each in fits):
+        return float("inf")
+    values = np.log([getattr(t.effect, name) for t in same[at - 1 : at + 2]])
+    errors = -np.array([each.score for each in fits if each is not None])
+    step, deviation = parabola_minimum(values - values[1], errors)
+    return float((step / deviation) ** 2)
+
+
+def _alike(effect: Effect | None, other: Effect | None, name: str) -> bool:
+    """Return whether two shapes of an effect differ in one parameter at most."""
+    return effect is not None and effect == replace(other, **{name: getattr(effect, name)})  # type: ignore[type-var]
 
 
 def _values(effect: Effect, grid: Sequence[Effect]) -> dict[str, set[Any]]:

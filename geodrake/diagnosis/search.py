@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from copy import copy
 from dataclasses import dataclass, replace
 from itertools import chain
 
@@ -29,6 +28,7 @@ from geodrake.diagnosis.refinements import (
     finer_shapes,
     fitted_delays,
     fitted_loads,
+    gain_of_finer_shape,
     other_choices,
 )
 from geodrake.diagnosis.search_progress import FoundStep, Progress, progress_of
@@ -57,6 +57,7 @@ _FORCED_SHARE = 0.3
 _MOST_FADINGS = 3
 _FURTHER = 5  # effects that would gain if they left white noise, in each step of the last climb
 _CHANGED = 0.2  # relative change of an effect of accelerations that updates the noise
+_FINER = 0.25  # least gain in score by a finer shape
 _OTHER_DELAY, _ALIKE = 3.0, 0.125  # largest difference of equal delays: deviations, and steps
 
 
@@ -98,6 +99,7 @@ class Search:
         self._delays: list[ArrayLike] = [*case.dataset.delays]
         self._on_time: Delay = (0,) * len(case.model.joints)
         self._levels = dict[Effect, int]()  # effect -> next level of finer shapes
+        self._fine = dict[object, bool]()  # explanation and term -> whether its shape is exact
         self._has_fitted_delays = False
         self._tried_delays = [self._origin]  # delays (nv,) with columns, the file's first
         # Explanations whose fading speeds, shapes and further effects were searched.
@@ -113,28 +115,27 @@ class Search:
 
     def run(self) -> SearchResult:
         """Search to the end."""
-        search, is_stopped = self, False
+        is_stopped = False
         try:
             self._start_with_turned_base()
             effects = proposed(self.case, self.model, self.fit)
             if effects:  # before other effects imitate them
                 self._add_candidates(effects)
-            direct = self._copy()
             self._climb_by_common_first()
             if not self._has_only_common_effects():
-                search = self._better_of_direct_climb(direct)
+                self._climb_directly()
             for _ in range(_MOST_ROUNDS):
-                if not search._continue():
+                if not self._continue():
                     break
-            search.fit = settled(search.model, search.fit)
+            self.fit = settled(self.model, self.fit)
         except StopSearch:
-            if not search.fit.terms:
+            if not self.fit.terms:
                 raise
             is_stopped = True
-            if search._progress is not None and search._last_step is not None:
+            if self._progress is not None and self._last_step is not None:
                 with suppress(StopSearch):  # it is stopped already
-                    search._progress(replace(search._last_step, is_last=True))
-        return SearchResult(search.case, search.model, search.fit, search._start(), is_stopped)
+                    self._progress(replace(self._last_step, is_last=True))
+        return SearchResult(self.case, self.model, self.fit, self._start(), is_stopped)
 
     def _start_with_turned_base(self) -> None:
         """Start with a base that is mounted differently, if that explains most errors."""
@@ -153,13 +154,6 @@ class Search:
         self._effects = [turned.get(effect, effect) for effect in self._effects]
         return {*turned.values()}
 
-    def _copy(self) -> Search:
-        other = copy(self)
-        for name, value in vars(self).items():
-            if isinstance(value, list | dict | set):
-                setattr(other, name, copy(value))
-        return other
-
     def _has_only_common_effects(self) -> bool:
         """Return whether common effects leave only noise, with bodies close to the file."""
         model, fit = self.model, self.fit
@@ -169,46 +163,21 @@ class Search:
         near = fit.choice.width <= model.wrong_beyond
         return near and all(map(is_common, fit.terms)) and not exceeds_noise.any()
 
-    def _better_of_direct_climb(self, other: Search) -> Search:
-        """Climb from the start with all effects at once; return the better search.
+    def _climb_directly(self) -> None:
+        """Climb from the start with all effects at once; keep the better explanation.
 
-        Common effects that come first may prevent a rare one. If the climb leads to the same
-        effects, with bodies close to the file, the rest of it is omitted.
+        Common effects that come first may prevent a rare one.
         """
-        other._climb(optimistic=True)
-        is_near = other.fit.choice.width <= other.model.wrong_beyond
-        if is_near and self._keys == other._keys and not self._is_worse_than(other):
-            return self
-        other._climb(optimistic=False)
-        other._try_bodies_near_file()
-        if not self._is_worse_than(other):
-            return self
-        # It may be due to columns alone, such as those of fading friction.
-        other._keep_more_probable(self.fit, self._delays_of_fit())
-        return other
-
-    def _is_worse_than(self, other: Search) -> bool:
-        """Return whether another search has more evidence and lower held-out errors."""
-        fewer = np.minimum(self.model.shares(self.fit), other.model.shares(other.fit))
-        if other._evidence(fewer) <= self._evidence(fewer):
-            return False
-        return other._held_out_score(fewer) > self._held_out_score(fewer)
-
-    def _evidence(self, shares: Array) -> float:
-        """Return the evidence of the explanation with effective samples per row (nv,)."""
-        return self.model.unbounded(self.fit.choice, shares, self.fit.noise).score
-
-    def _held_out_score(self, shares: Array) -> float:
-        """Return twice the log of the probability of held-out efforts times the prior odds.
-
-        `shares` (nv,) are effective samples per row, equal for all searches that are compared.
-        Unlike in the evidence, errors at reversals count in full, and a term that imitates an
-        inertia does not gain by its lower noise of accelerations. The uncertainty of each fold
-        counts as error, however.
-        """
-        errors = np.maximum(self.model.held_out(self.fit, reversing=False).mse, self.model.floor)
-        samples = shares * self.model.rows
-        return -float(samples @ np.log(errors)) - self.model.odds_against(self.fit.choice)
+        found, delays = self.fit, self._delays_of_fit()
+        self.fit = climb(self.model, self._start(), optimistic=True)
+        is_near = self.fit.choice.width <= self.model.wrong_beyond
+        try:
+            if not (is_near and self._keys == {term.key for term in found.terms}):
+                self._climb(optimistic=True)
+                self._climb(optimistic=False)
+                self._try_bodies_near_file()
+        finally:  # a stop keeps the better one
+            self._keep_more_probable(found, delays)
 
     def forced(
         self, kind: type[Effect], places: Places | None, further: Sequence[Effect] = ()
@@ -571,13 +540,30 @@ class Search:
         return False
 
     def _finer_shapes(self, terms: Sequence[Term]) -> dict[Effect, int]:
-        """Return each term's shape and the untried ones around it, with the next level."""
+        """Return each term's shape and the untried ones around it, with the next level.
+
+        After the first level, shapes are refined only if that gains.
+        """
         shapes = dict[Effect, int]()
-        for effect in (term.effect for term in terms if term.effect is not None):
+        for term in terms:
+            effect = term.effect
+            if effect is None or self._has_fine_shape(term):
+                continue
             level = self._levels.get(effect, 0)
             near, level = finer_shapes(effect, self._grid, self._effects, level)
             shapes |= dict.fromkeys([effect, *near], level) if near else {}
         return shapes
+
+    def _has_fine_shape(self, term: Term) -> bool:
+        """Return whether a finer shape of a term that was refined would gain nothing."""
+        level = self._levels.get(term.effect, 0) if term.effect else LEVELS
+        if not 0 < level < LEVELS:
+            return level >= LEVELS
+        key = self.fit.choice.key, term
+        if key not in self._fine:
+            gain = gain_of_finer_shape(self.model, self.fit, term, self._grid)
+            self._fine[key] = gain < _FINER
+        return self._fine[key]
 
     def _update_noise(self) -> bool:
         """Update effects that add noise of accelerations; return whether they changed."""
