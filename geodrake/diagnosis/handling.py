@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
+from geodrake.compiling import contiguous
 from geodrake.diagnosis.episodes import MOST_TIME
 from geodrake.diagnosis.log_model import Fit, LogModel
 from geodrake.diagnosis.residuals import cut_out
@@ -32,6 +33,7 @@ from geodrake.identification.logs.dataset import JointRows
 from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.identification.normal_equations import scaled_cholesky
 from geodrake.inertia import PARAMETERS_PER_BODY
+from geodrake.logs.filtering import ZeroPhaseFilter
 from geodrake.robot.regressor import body_regressor
 
 Array = NDArray[np.float64]
@@ -357,12 +359,13 @@ def _timed(around: _Base, payload: Episode) -> Episode:
     log, body = numbers.index(payload.window[3]), payload.where[0]
     inside = dict(zip(("start", "end"), payload.window[:2], strict=True))
     edges = {name: edge for name, edge in inside.items() if edge is not None}
-    nearby = [_Edge.of(around.case, body, log, edge) for edge in edges.values()]
+    joints = around.rows(log, body)
+    felt = [rows.joint for rows in joints]
+    nearby = [_Edge.of(around.case, (body, felt), log, edge) for edge in edges.values()]
     windows = [window for window in nearby if window is not None]
     if len(windows) < len(edges):  # the log has a gap there
         return payload
     distant, cut = np.zeros(()), list[tuple[int, _Rows, NDArray[np.intp]]]()
-    joints = around.rows(log, body)
     first, last = np.quantile(np.concatenate([e.time for e in joints]), [_LEAST, 1.0 - _LEAST])
     for rows in joints:
         rest = np.ones(len(rows.time), bool)
@@ -393,7 +396,9 @@ def _timed(around: _Base, payload: Episode) -> Episode:
         if other is None:
             return 0.0
         columns = [window.columns(other) for window in windows]
-        sums = distant + sum(rows.products(columns[k][at, rows.joint]) for k, rows, at in cut)
+        sums = distant + sum(
+            rows.products(columns[k][at, felt.index(rows.joint)]) for k, rows, at in cut
+        )
         gain, mass = _gains(np.asarray(sums)[None], around.prior)
         return -float(gain[0]) if mass[0] > 0.0 else 0.0
 
@@ -409,14 +414,18 @@ class _Edge:
     """Columns of a body around an instant, at the full rate."""
 
     time: Array  # (N,) instants since the log began, s
-    body: Array  # (N, nv, 10) columns of the body
+    body: Array  # (N, j, 10) columns of the body, at the joints that feel it
     outputs: Array  # (K,) instants of the filtered samples
-    period: float  # their period, s
-    apply: Callable[[Array], Array]
+    low_pass: ZeroPhaseFilter
+
+    @property
+    def period(self) -> float:
+        """Return the period of the filtered samples, s."""
+        return self.low_pass.output_period
 
     @classmethod
-    def of(cls, case: Case, body: str, log: int, edge: float) -> _Edge | None:
-        """Return the columns around an edge; None if the log has a gap."""
+    def of(cls, case: Case, at: tuple[str, list[int]], log: int, edge: float) -> _Edge | None:
+        """Return the columns of a body at some joints around an edge; None if the log has a gap."""
         trajectory, model = case.trajectories[log], case.load_model
         low_pass = trajectory.filter
         reach = 3.0 * low_pass.halfwidth * low_pass.period + 2.0 * _SLOWEST
@@ -424,10 +433,10 @@ class _Edge:
         if cut is None or low_pass.output_count(len(cut[0])) < 2:
             return None
         segment, time, outputs = cut
-        q, index = model.positions(segment.position), model.bodies.index(body)
+        q, index = model.positions(segment.position), model.bodies.index(at[0])
         columns = body_regressor(model.tree, q, segment.velocity, segment.acceleration, index)
-        return cls(time, columns, outputs, low_pass.output_period, low_pass.apply)
+        return cls(time, contiguous(columns[:, at[1]]), outputs, low_pass)
 
     def columns(self, payload: Episode) -> Array:
-        """Return (K, nv, 10) filtered columns of the body during an episode."""
-        return np.asarray(self.apply(payload.weight(self.time)[:, None, None] * self.body))
+        """Return (K, j, 10) filtered columns of the body during an episode."""
+        return self.low_pass.apply_weighted(self.body, contiguous(payload.weight(self.time)))

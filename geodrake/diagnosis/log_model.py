@@ -196,7 +196,7 @@ class LogModel:
         self._first_reversal = len(sources[0]) + len(sources[1])
         spans = self.spans(self.terms).items()
         self.at = {term: np.arange(span.start, span.stop) for term, span in spans}
-        self._order = {term: k for k, term in enumerate(self.terms)}
+        self.order = {term: k for k, term in enumerate(self.terms)}
         columns = np.concatenate([*sources, *(term.columns for term in self.terms)])
         self.mean = np.zeros(len(columns))
         self._inertias = data.passive_shares(columns)
@@ -435,6 +435,16 @@ class LogModel:
         ends = np.cumsum([self.first_term, *(len(term.columns) for term in terms)]).tolist()
         return {t: slice(*ends) for t, ends in zip(terms, pairwise(ends), strict=True)}
 
+    @cached_property
+    def term_spans(self) -> tuple[Indices, Indices, Indices]:
+        """Return the first columns (T,) of all terms, their ends (T,), and their only joints (T,).
+
+        A joint is −1 if a term affects several.
+        """
+        ends = self.first_term + np.cumsum([0, *(len(term.columns) for term in self.terms)])
+        joints = [self.only_joint[term] for term in self.terms]
+        return ends[:-1], ends[1:], np.array(joints, np.intp)
+
     def prior(self, choice: Choice) -> tuple[Prior, float]:
         """Return the prior of an explanation, and log |Λ| up to a constant."""
         columns, base, width = self.columns(choice), self._base, choice.width
@@ -508,7 +518,7 @@ class LogModel:
 
     def choice(self, was: Choice, terms: Iterable[Term], **changed: Any) -> Choice:
         """Return an explanation with other terms, in the order of their columns."""
-        terms = tuple(sorted(terms, key=self._order.__getitem__))
+        terms = tuple(sorted(terms, key=self.order.__getitem__))
         return replace(was, terms=terms, **changed)
 
     def matching(self, terms: Terms, moved: Mapping[Effect, Effect] | None = None) -> list[Term]:

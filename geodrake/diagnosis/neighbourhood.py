@@ -163,7 +163,9 @@ class Neighbourhood:
         known = self._model.prior_scores[np.concatenate([self._model.at[t] for t in terms])].sum()
         loss = -x @ inverse @ x - np.linalg.slogdet(covariance)[1] - known
         squares = float(x @ inverse @ x)
-        return Dropped(self, float(loss), at, inverse, x, squares, self._joint(terms))
+        joints = {self._model.only_joint[term] for term in terms}
+        joint = joints.pop() if len(joints) == 1 else -1
+        return Dropped(self, float(loss), at, inverse, x, squares, joint)
 
     def gains(self, packages: Sequence[Terms], dropped: Dropped | None = None) -> Array:
         """Return the gain (m,) in score of each package of terms, without prior odds.
@@ -179,8 +181,7 @@ class Neighbourhood:
         Other gains are those of `gains`. At the old noise, two effects that explain the error only
         together would gain too little.
         """
-        gains, falls = self._gained(packages, dropped)
-        joints = np.array([self._joint(package) for package in packages], int)
+        gains, falls, joints = self._gained(packages, dropped)
         if dropped is not None:
             joints, falls = np.where(joints == dropped.joint, joints, -1), falls - dropped.squares
         samples = self._model.sum_by_joint(self._samples())
@@ -192,9 +193,8 @@ class Neighbourhood:
         Gains exclude `dropped.loss`, of dropped terms of the same joint. Missing effects make
         residuals vary slowly, which lowers their effective sample size.
         """
-        gains, falls = self._gained([(term,) for term in terms], dropped)
+        gains, falls, joints = self._gained([(term,) for term in terms], dropped)
         falls = falls if dropped is None else falls - dropped.squares
-        joints = np.array([self._joint([term]) for term in terms], int)
         return self._profiled(gains, falls, joints, self._model.rows)
 
     def _profiled(self, gains: Array, falls: Array, at: Indices, samples: Array) -> Array:
@@ -205,28 +205,27 @@ class Neighbourhood:
         share = falls / self._model.sum_by_joint(self._samples())[at]
         return gains - falls - samples[at] * np.log1p(-np.minimum(share, self._most_taken[at]))
 
-    def _joint(self, terms: Sequence[Term]) -> int:
-        """Return the only joint that terms affect; −1 if several."""
-        felt = {self._model.only_joint[term] for term in terms}
-        return felt.pop() if len(felt) == 1 else -1
+    def _gained(
+        self, packages: Sequence[Terms], dropped: Dropped | None
+    ) -> tuple[Array, Array, Indices]:
+        """Return gains (m,), reductions (m,) of weighted squared errors, and the only joints (m,).
 
-    def _gained(self, packages: Sequence[Terms], dropped: Dropped | None) -> tuple[Array, Array]:
-        """Return gains (m,) and the reductions (m,) of weighted squared errors."""
-        model = self._model
+        A joint is −1 if several are affected.
+        """
+        model, order = self._model, self._model.order
         if not packages:
-            return np.zeros(0), np.zeros(0)
-        indices = [[model.at[term] for term in package] for package in packages]
-        columns = np.concatenate([at for terms in indices for at in terms])
-        counts = [sum(map(len, terms)) for terms in indices]
+            return np.zeros(0), np.zeros(0), np.zeros(0, np.intp)
+        terms = np.array([order[term] for package in packages for term in package], np.intp)
+        ends = np.cumsum([0, *map(len, packages)])
         schur, pull = self.schur
         dropped_rows = (np.zeros((0, len(model.distinct))), np.zeros((0, 0)), np.zeros(0))
         if dropped is not None:
             dropped_rows = (dropped.rows, dropped.inverse, dropped.x)
-        result: tuple[Array, Array] = calc_gains(
+        result: tuple[Array, Array, Indices] = calc_gains(
             schur,
             (pull, model.prior_scores),
-            (model.owner, model.positive),
+            (model.owner, model.positive, model.term_spans),
             ((model.same_as, model.information), dropped_rows),
-            (columns, np.cumsum([0, *counts])),
+            (terms, ends),
         )
         return result

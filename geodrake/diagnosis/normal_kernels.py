@@ -259,24 +259,37 @@ def _schur_complement(schur: Schur, a: int, b: int) -> float:
 def calc_gains(
     schur: Schur,
     scores_of: tuple[Array, Array],  # pull (P,) of all columns, and prior scores (P,)
-    owners: tuple[Indices, NDArray[np.bool_]],  # (P,) term of each column; whether it is positive
+    # (P,) term of each column; whether it is positive; (T,) first column, end and joint of terms
+    owners: tuple[Indices, NDArray[np.bool_], tuple[Indices, Indices, Indices]],
     # (P,) index of its distinct column; (P, w) its information, from its term's first column on;
     # (i, D) rows of dropped parameters, (i, i) inverse, (i,) values; i may be 0
     priors: tuple[tuple[Indices, Array], tuple[Array, Array, Array]],
-    packages: tuple[Indices, Indices],  # columns of all packages, and the end of each
-) -> tuple[Array, Array]:
-    """Return the gain in score of each package of columns, without prior odds, and xᵀG⁻¹x.
+    packages: tuple[Indices, Indices],  # terms of all packages, and the end of each
+) -> tuple[Array, Array, Indices]:
+    """Return the gain in score of each package of terms, without prior odds, and xᵀG⁻¹x.
 
     The latter is the reduction of the weighted squared errors. A gain is −∞ if all positive
-    parameters of a term would be negative.
+    parameters of a term would be negative. The only joint that each package affects is also
+    returned, or −1.
     """
-    (pull, scores), (owner, positive), (columns, ends) = scores_of, owners, packages
+    (pull, scores), (owner, positive, spans), (terms, ends) = scores_of, owners, packages
     (same_as, information), (rows, inverse, values) = priors
+    starts, stops, joint_of = spans
     dropped = len(values)
     scaled_rows, shift = inverse @ rows, inverse @ values
     gains, squares = np.full(len(ends) - 1, -np.inf), np.zeros(len(ends) - 1)
+    joints = np.full(len(gains), -1)
     for p in range(len(gains)):
-        at = columns[ends[p] : ends[p + 1]]
+        package, count = terms[ends[p] : ends[p + 1]], 0
+        for t in package:
+            count += stops[t] - starts[t]
+        at, count, joint = np.empty(count, np.intp), 0, joint_of[package[0]]
+        for t in package:
+            joint = joint if joint_of[t] == joint else -1
+            for column in range(starts[t], stops[t]):
+                at[count] = column
+                count += 1
+        joints[p] = joint
         gram, x, prior = np.empty((len(at), len(at))), pull[at], 0.0
         same, first = same_as[at], 0
         for a in range(len(at)):
@@ -294,7 +307,7 @@ def calc_gains(
         square, logarithm = _solve_positive(gram, x)
         if not np.isnan(logarithm) and not _is_infeasible(x, owner[at], positive[at]):
             gains[p], squares[p] = square - logarithm + prior, square
-    return gains, squares
+    return gains, squares, joints
 
 
 @compiled

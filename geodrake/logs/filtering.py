@@ -23,7 +23,7 @@ from scipy.ndimage import spline_filter1d
 from scipy.special import gammaincinv
 
 from geodrake.boundary.arguments import Array
-from geodrake.compiling import contiguous, summing
+from geodrake.compiling import compiled, contiguous, summing
 from geodrake.errors import ArgumentError, LogError
 
 HANN = (0.5, -0.5)
@@ -192,6 +192,13 @@ class ZeroPhaseFilter:
         calc_outputs(self.kernel, flat, instants, outputs)
         return outputs.T.reshape(len(instants), *columns.shape[1:])
 
+    def apply_weighted(self, columns: Array, weights: Array) -> Array:
+        """Filter and decimate contiguous columns (N, ...) times weights (N,) to (K, ...)."""
+        outputs = np.zeros((self.output_count(len(columns)), math.prod(columns.shape[1:])))
+        flat = columns.reshape(len(columns), -1)
+        calc_weighted_outputs(self.kernel, (flat, weights), self.output_indices(len(flat)), outputs)
+        return outputs.reshape(len(outputs), *columns.shape[1:])
+
     def chunks(self, n: int, size: int) -> Iterator[tuple[slice, int]]:
         """Yield input slices that together give all outputs, and the number of outputs of each.
 
@@ -225,6 +232,20 @@ def calc_outputs(kernel: Array, columns: Array, at: NDArray[np.intp], outputs: A
             for i in range(len(kernel)):
                 total += kernel[i] * window[i]
             outputs[k, n] = total
+
+
+@compiled
+def calc_weighted_outputs(
+    kernel: Array, columns: tuple[Array, Array], at: NDArray[np.intp], outputs: Array
+) -> None:
+    """Add averages of columns (N, k) times weights (N,) around samples (K,) to outputs (K, k)."""
+    values, weights = columns
+    for n in range(len(at)):
+        first, output = at[n] - len(kernel) // 2, outputs[n]
+        for i in range(len(kernel)):
+            weight, row = kernel[i] * weights[first + i], values[first + i]
+            for k in range(len(output)):
+                output[k] += weight * row[k]
 
 
 def design_filter(
