@@ -236,7 +236,8 @@ def _draft(
     for box in terms.gearboxes:
         own, tie = geared(draft.plant, box) or ("", Tie("", ()))
         if own in terms.followers or own not in resolved({**terms.followers, own: tie}, names):
-            terms.left_out.append(f"{box.name} is ignored.")
+            reason = f"{own} follows already" if own else "its links turn about other axes"
+            terms.left_out.append(f"{box.name} is ignored, as {reason}.")
         else:
             terms.followers[own] = tie
             terms.driven.add(tie.leader)

@@ -157,6 +157,11 @@ def test_what_is_no_added_mass_is_refused_or_told(tmp_path):
     ).left_out
     assert "line 2: <fluid_added_mass> is ignored, as it has the negative eigenvalue -3." in told
     assert not arm(tmp_path, ["<fluid_added_mass><yy>0</yy></fluid_added_mass>"] + [""] * 2).effects
+    first, other = (f"<fluid_added_mass><yy>{mass}</yy></fluid_added_mass>" for mass in (1, 2))
+    twice, once = (arm(tmp_path, [text, "", ""]) for text in (f"{first}\n{other}", first))
+    (told,) = twice.left_out
+    assert "line 3: another <fluid_added_mass> of r::l0 is ignored." in told
+    assert [f.effect for f in twice.effects] == [f.effect for f in once.effects]
     (told,) = arm(
         tmp_path, ["<fluid_added_mass><yy>1</yy><yx>1</yx></fluid_added_mass>"] + [""] * 2
     ).left_out

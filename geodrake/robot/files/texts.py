@@ -365,21 +365,26 @@ class ModelText(abc.ABC):
             xyz = numbers((axis is not None and axis.text) or "0 0 1", 3)
             axes.append((f"{scope}::{frame}", turn @ xyz))
         is_finite = all(np.isfinite(axis).all() and axis.any() for _, axis in axes)
-        if (
-            is_finite
-            and np.isfinite(ratio)
-            and ratio
-            and known.union([WORLD_LINK]).issuperset([reference, *links])
-        ):
-            box = Gearbox(name, reference, (links[0], links[1]), (axes[0], axes[1]), ratio)
-            self.terms.gearboxes.append(box)
-        else:
-            self.terms.left_out.append(f"{name} is ignored.")
+        missing = [
+            f"<{tag}> {end!r} is no link"
+            for tag, end, link in zip(tags, ends, (reference, *links), strict=True)
+            if link not in known | {WORLD_LINK}
+        ]
+        if missing or not is_finite or not np.isfinite(ratio) or not ratio:
+            reason = f"its ratio is {ratio:g}" if is_finite else "an axis has no direction"
+            self.terms.left_out.append(f"{name} is ignored, as {[*missing, reason][0]}.")
+            return
+        box = Gearbox(name, reference, (links[0], links[1]), (axes[0], axes[1]), ratio)
+        self.terms.gearboxes.append(box)
 
     def _take_added_mass(self, name: str, link: Element) -> None:
         """Move the inertia of the fluid around a link of an SDF to the terms."""
-        for element in link.findall("inertial/fluid_added_mass"):
+        for k, element in enumerate(link.findall("inertial/fluid_added_mass")):
             drop(link, element.tag)
+            if k:  # sdformat reads the first one
+                what = f"{place_of(element, self.path)}: another <{element.tag}> of {name}"
+                self.terms.left_out.append(f"{what} is ignored.")
+                continue
             stated = {each.tag: each.text or "" for each in element if isinstance(each.tag, str)}
             unknown = [f"<{tag}>" for tag in stated if tag not in ADDED_MASS]
             if unknown:
