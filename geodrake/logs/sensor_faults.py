@@ -37,6 +37,7 @@ _FEW = 5  # rows, longest spike
 _MOST, _ENOUGH = 0.99, 200_000  # share of steps that are ordinary, and number of steps examined
 _BRIEF = 2  # rows, longest spike below the rate of a jump
 _APART, _SMALL = 15.0, 4.0  # ordinary steps: higher spikes count if none is between these
+_FEWEST = 3  # dropouts
 _BACK = 0.15  # of a spike's height, largest difference of the readings before and after it
 _ALONE = 0.05  # of a jump, largest step just before and after it
 _TURNS, _WRAP = (2.0 * np.pi, 360.0), 0.05  # one turn, and the tolerance of a wrap relative to it
@@ -70,6 +71,27 @@ def without_faults(log: JointLog) -> JointLog:
     return replace(log, **repaired, notes=tuple(notes)) if repaired else log
 
 
+def _dropouts(values: Array) -> Indices:
+    """Return the readings (K,) of zero for one or two rows, far from those before and after.
+
+    A few are needed, as a single one may be anything.
+    """
+    zero = np.concatenate([[True], values == 0.0, [True]])
+    edges = np.flatnonzero(zero[1:] != zero[:-1])  # of runs of other readings
+    first, last = edges[1:-1:2], edges[2::2]  # of runs of zeros between them
+    steps = np.abs(np.diff(values))[~(zero[1:-2] | zero[2:-1])]
+    if len(first) < _FEWEST or not len(steps):
+        return np.zeros(0, int)
+    ordinary = np.quantile(steps, _MOST)
+    before, after = values[first - 1], values[last]
+    is_far = np.minimum(np.abs(before), np.abs(after)) > _SMALL * ordinary
+    is_far &= (last - first <= _BRIEF) & (np.abs(after - before) <= _SMALL * ordinary)
+    if np.count_nonzero(is_far) < _FEWEST:
+        return np.zeros(0, int)
+    runs = zip(first[is_far].tolist(), last[is_far].tolist(), strict=True)
+    return np.concatenate([np.arange(begin, end) for begin, end in runs])
+
+
 @dataclass(frozen=True, eq=False)
 class _Sensor:
     """Measurements of one sensor of one joint."""
@@ -81,14 +103,17 @@ class _Sensor:
     rows: Indices | slice  # (K,) rows with readings; a slice for all
     time: Array  # (K,) instants, s
     values: Array  # (K,) readings
+    dropouts: Indices  # rows with zero where nothing was read
 
     @classmethod
     def of(cls, log: JointLog, quantity: str, joint: int, period: float) -> _Sensor:
         """Return the measurements of a quantity of a joint."""
         column = getattr(log, quantity)[:, joint]
         known = np.isfinite(column) & np.isfinite(log.time)
+        dropouts = np.flatnonzero(known)[_dropouts(column[known])]
+        known[dropouts] = False
         rows = slice(None) if known.all() else np.flatnonzero(known)
-        return cls(log, quantity, joint, period, rows, log.time[rows], column[rows])
+        return cls(log, quantity, joint, period, rows, log.time[rows], column[rows], dropouts)
 
     @property
     def name(self) -> str:
@@ -100,6 +125,10 @@ class _Sensor:
         column = getattr(self.log, self.quantity)[:, self.joint]
         values, words = self._unwrapped() if self.quantity == "position" else (self.values, "")
         notes = [f"the {self.name} {words}"] if words else []
+        if len(self.dropouts):
+            first = self.log.time[self.dropouts[0]]
+            words = f"drops to 0 in {len(self.dropouts)} rows, the first at t = {first:.2f} s"
+            notes.append(f"the {self.name} {words}: not used")
         invalid = np.zeros(len(values), bool)
         for where, words in replace(self, values=values)._faults():
             invalid[where] = True
@@ -107,6 +136,7 @@ class _Sensor:
         if notes:
             column = column.copy()
             column[self.rows] = np.where(invalid, np.nan, values)
+            column[self.dropouts] = np.nan
         return column, notes
 
     def _faults(self) -> Iterator[tuple[Indices | slice, str]]:

@@ -141,6 +141,18 @@ def test_spikes_and_only_they_are_left_out(rows, value):
     assert without_faults(found) is found
 
 
+@pytest.mark.parametrize("quantity", ["position", "effort"])
+def test_readings_that_often_drop_to_zero_are_left_out(quantity):
+    log, rows = swing(), np.arange(37, 3900, 40)
+    rows = np.sort(np.append(rows, rows[::5] + 1))  # some for two rows
+    found = without_faults(changed(log, quantity, rows, 1, 0.0))
+    gone, truth = lost(found, quantity, 1), np.abs(getattr(log, quantity)[rows, 1])
+    assert set(rows[truth > 0.5 * truth.max()]) <= set(gone) <= set(rows)
+    (note,) = found.notes
+    assert note.startswith(f"the {quantity} of b drops to 0 in {len(gone)} rows, the first at t = ")
+    assert without_faults(found) is found
+
+
 FEW = [5, 640, 641, 1240, 1242, 3996]
 
 
