@@ -40,12 +40,12 @@ _SPEEDS = ("rad/s", "deg/s", "rev/s", "rpm")
 _OF_SERVOS = (*_SPEEDS, "ticks/s", "0.229 rpm", "0.111 rpm")  # with ticks, as of Dynamixel
 _AS_OTHERS = (("rev", "rad/s"), ("rev", "rpm"))  # like m and m/min, or gears of 6.3 and 60
 _LARGE = 0.9  # quantile of moves
-_BETWEEN = (np.pi / 180.0) ** 0.5  # geometric mean of deg/s and rad/s
 
 
 def take_units(time: Array, data: dict[str, Array], columns: Columns) -> None:
     """Convert positions, velocities and commands (N, n) to SI units if values show others."""
     bare = {quantity: _bare(columns, quantity) for quantity in data}
+    _take_lengths(time, data, columns, bare)
     if _take_ticks(data, columns, bare):
         _take_angles(time, data, columns, {**bare, "position": {}, "command": {}}, _OF_SERVOS)
     else:
@@ -118,11 +118,43 @@ def _take_angles(
             columns.notes.append(f"{words} (--units {quantity}=UNIT if it is in another)")
 
 
-def _nearer_speed(moves: Sequence[tuple[Array, Array]]) -> str:
-    """Return the unit of speeds if positions are in degrees, from a high quantile of moves."""
+def _take_lengths(time: Array, data: dict[str, Array], columns: Columns, bare: Bare) -> None:
+    """Convert positions of sliding joints from mm if only in mm they are within the limits."""
+    places = [place for place in bare.get("position", {}) if place[0] in columns.reading.sliding]
+    joints = [joint for joint, _ in places]
+    if not joints:
+        return
+    at = [columns.joints.index(joint) for joint in joints]
+    position, velocity = data["position"][:, at], data.get("velocity")
+    peaks, shares = peaks_of(position), dict[str, float]()
+    for name in ("mm", "cm", "m"):
+        unit = unit_of(name, "position")
+        shares[name] = _share_within(columns.reading, joints, _some(position), unit)
+    is_mm = shares["mm"] > _HELD and max(shares["cm"], shares["m"]) <= 0.5
+    if peaks.min() < _MOST_FAR or not is_mm:
+        return
+    moves = [] if velocity is None else _moves(time, position, velocity[:, at])
+    speed = _nearer_speed(moves, "mm/s", "m/s")
+    for quantity, name in {"position": "mm", "command": "mm", "velocity": speed}.items():
+        unit = unit_of(name, quantity)
+        own = {p: source for p, source in bare.get(quantity, {}).items() if p[0] in joints}
+        if unit.factor != 1.0 and own:
+            _convert(data, columns, own, unit)
+            columns.notes.append(
+                f"{quantity} is in {name} at {', '.join(joints)}, which reaches {peaks.max():.4g}, "
+                "and the model's limits hold no positions in m: converted (set another unit in a "
+                "mapping)"
+            )
+
+
+def _nearer_speed(
+    moves: Sequence[tuple[Array, Array]], small: str = "deg/s", si: str = "rad/s"
+) -> str:
+    """Return the unit of speeds if positions are in a small unit, from a high quantile of moves."""
     sizes = [[np.quantile(np.abs(x), _LARGE) for x in each] for each in moves if len(each[0])]
     moved, driven = np.sum(sizes, axis=0) if sizes else (0.0, 0.0)
-    return "deg/s" if driven > _BETWEEN * moved else "rad/s"
+    ratio = unit_of(small, "velocity").factor / unit_of(si, "velocity").factor
+    return small if driven > ratio**0.5 * moved else si
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of outliers
@@ -340,7 +372,8 @@ def position_unit_hint(log: JointLog) -> str | None:
     other = other if peaks.max() <= _NORMALIZED else ""
     other = other if peaks[worst] < _LEAST_MRAD else " (or position=mrad)"
     return (
-        f"Positions seem to be in degrees: {farthest}. --units position=deg converts them{other}."
+        f"Positions seem to be in degrees: {farthest}. --units position=deg converts them{other}. "
+        "Those of sliding joints may be in mm."
     )
 
 

@@ -505,7 +505,8 @@ def test_unstated_units_are_converted_where_values_are_certain(read_table, kind)
     units = {"position": "rad"} if "asked" in kind else {}
     how = {"limits": dict.fromkeys(JOINTS, (-2.0, 2.0)), "units": units}
     log = read_table(columns, JOINTS, **how, sliding=frozenset([JOINTS[1]]))
-    np.testing.assert_allclose(log.position[:, 1], given[:, 1])
+    factor = 1000.0 if "thousandths" in kind else 1.0  # mm
+    np.testing.assert_allclose(log.position[:, 1], given[:, 1] / factor, atol=1e-12)
     log = read_table(columns, JOINTS, **how)
     np.testing.assert_allclose(log.position, given / angle, atol=1e-12)
     assert ("position is in" in said(log)) == (angle != 1.0)
@@ -513,6 +514,19 @@ def test_unstated_units_are_converted_where_values_are_certain(read_table, kind)
         np.testing.assert_allclose(log.velocity, speed * V, rtol=1e-9, atol=1e-12)
     if log.command is not None:
         np.testing.assert_allclose(log.command, C, atol=1e-12)
+
+
+@pytest.mark.parametrize("speed", [1.0, 1000.0])
+def test_sliding_joints_in_mm_are_converted_where_limits_hold_no_others(read_table, speed):
+    columns = frame(q_J=1000.0 * Q, cmd_J=1000.0 * C, v_J=speed * V, effort_J=S)
+    how = {"sliding": frozenset(JOINTS), "limits": dict.fromkeys(JOINTS, (-2.0, 2.0))}
+    log = read_table(columns, JOINTS, **how)
+    np.testing.assert_allclose(log.position, Q, atol=1e-12)
+    np.testing.assert_allclose(log.velocity, V, atol=1e-12)
+    assert "position is in mm at shoulder, elbow, which reaches" in said(log)
+    assert ("velocity is in mm/s at" in said(log)) == (speed > 1.0)
+    how["limits"] = dict.fromkeys(JOINTS, (-20.0, 20.0))  # may be cm
+    np.testing.assert_array_equal(read_table(columns, JOINTS, **how).position, 1000.0 * Q)
 
 
 CLOCK = np.arange(2000) / 100.0
