@@ -48,10 +48,11 @@ class UnresolvedReversal(JointEffect):
     """Dry friction at speeds at which a log hardly shows the direction of motion.
 
     effort = h₀ (sgn v − d) + Σ_k h_k (tanh(2^k v/w) − d) + Σ_k e_k e^{−|v|/s_k} d
-             + Σ_k j_k (v/√(v² + s_k²) − d) + Σ_k m_k (1 − |tanh(v/s_k)|), with d = tanh(v/w):
-    friction that jumps more sharply than the direction d of other effects, or less, or that
-    differs there, or whose mean over both directions is not zero. Speeds below w pass within
-    a sample, or are noise. Ordinary motions do not show presliding, below the speeds s_k.
+             + Σ_k j_k (v/√(v² + s_k²) − d) + Σ_k m_k (1 − |tanh(v/s_k)|) + l (1 − |d|) sgn v̇,
+    with d = tanh(v/w): friction that jumps more sharply than the direction d of other effects, or
+    less, or that differs there, or whose mean over both directions is not zero, or that jumps late
+    or early, as do the measured velocities. Speeds below w pass within a sample, or are noise.
+    Ordinary motions do not show presliding, below the speeds s_k.
     """
 
     speed: float  # w, rad/s or m/s
@@ -63,9 +64,10 @@ class UnresolvedReversal(JointEffect):
         *(Parameter(f"excess_{k}", "N·m") for k in range(3)),
         *(Parameter(f"softer_{k}", "N·m") for k in range(2)),
         *(Parameter(f"mean_{k}", "N·m") for k in range(2)),
+        Parameter("late", "N·m"),
     )
     shapes: ClassVar[tuple[Shape, ...]] = (Shape("speed", "rad/s"), Shape("slip", "rad/s"))
-    depends_on: ClassVar[frozenset[str]] = frozenset({"v"})
+    depends_on: ClassVar[frozenset[str]] = frozenset({"v", "vd"})
     unsure: ClassVar[int] = [each.name for each in parameters].index("mean_0")
     """Index of the column with the share of time of unknown direction."""
 
@@ -77,7 +79,8 @@ class UnresolvedReversal(JointEffect):
         softer = [v / np.hypot(v, s) - usual for s in speeds[1:]]
         sharper = [np.sign(v) - usual, *(np.tanh(k * v / self.speed) - usual for k in (2.0, 4.0))]
         means = [1.0 - np.abs(np.tanh(v / s)) for s in (self.speed, self.slip)]
-        return [*sharper, *excess, *softer, *means]
+        late = np.sign(joint.vd) * means[0]
+        return [*sharper, *excess, *softer, *means, late]
 
 
 @dataclass(frozen=True)
