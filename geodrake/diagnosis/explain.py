@@ -132,8 +132,9 @@ def explained(
     if changed:
         all_notes += [*changed_notes(case.model, steps), *notes_of(result, case, fit, bodies)]
     all_notes += left_out_notes(findings, steps)
-    gained = at_found_gains(result)
-    verdict = verdict_of(gained or after.errors, bool(steps), left=largest_residual(result))
+    noise_of = after_case.dataset if changed else None
+    gained, left = at_found_gains(result, noise_of), largest_residual(result, noise_of)
+    verdict = verdict_of(gained or after.errors, bool(steps), left=left)
     if verdict == "unexplained":
         apart = logs_apart_notes(result.case, result.model, result.fit)
         all_notes += apart

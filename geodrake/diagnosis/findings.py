@@ -20,6 +20,7 @@ from geodrake.effects.episode import Episode
 from geodrake.effects.lookup import effect_of
 from geodrake.identification.logs.case import Case, error_table
 from geodrake.identification.logs.criteria import JOINT_NOISE_MARGIN
+from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.hypothesis import HeldOut, Hypothesis
 from geodrake.identification.logs.model_errors import ErrorTable
 from geodrake.inertia import pullback_metric
@@ -394,21 +395,25 @@ def _log_ratios(before: HeldOut, after: HeldOut) -> Array:
     return np.asarray(np.log(np.maximum(before.sse, least) / np.maximum(after.sse, least)))
 
 
-def largest_residual(result: SearchResult) -> float:
-    """Return the largest ratio of residual to noise, excluding unresolved reversals."""
-    noise = result.model.dataset.noise_floor
+def largest_residual(result: SearchResult, dataset: Dataset | None = None) -> float:
+    """Return the largest ratio of residual to noise, excluding unresolved reversals.
+
+    The noise is that of the search, or of a `dataset` reduced with the final model.
+    """
+    noise = (dataset or result.model.dataset).noise_floor
     left = np.sqrt(result.fit.variance)
     return float(np.max(left / np.where(noise > 0.0, noise, 1e-300)))
 
 
-def at_found_gains(result: SearchResult) -> ErrorTable | None:
+def at_found_gains(result: SearchResult, dataset: Dataset | None = None) -> ErrorTable | None:
     """Return held-out errors with the effort gains that the logs show; None if they show none.
 
-    Such gains belong to the logs, not to the model, and are no missing effect.
+    Such gains belong to the logs, not to the model, and are no missing effect. The noise is that of
+    the search, or of a `dataset` reduced with the final model.
     """
     model, fit = result.model, result.fit
     shown = model.usual_gains(fit)
-    return error_table(model.dataset, model.held_out(fit)) if shown else None
+    return error_table(dataset or model.dataset, model.held_out(fit)) if shown else None
 
 
 def verdict_of(errors: ErrorTable, found: bool, *, left: float = np.inf) -> Verdict:

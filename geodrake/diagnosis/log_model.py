@@ -860,9 +860,11 @@ class LogModel:
     def hypothesis(self, fit: Fit) -> Hypothesis:
         """Return a fit as a hypothesis with the same parameters in all folds."""
         unknowns, data, choice = self.unknowns_of(fit.choice), self.dataset, fit.choice
+        first = self._first_reversal
         for effect in self._reversals:
-            zero = np.zeros((len(effect.parameters),) * 2)
-            unknowns = unknowns.with_effect(effect, data.effect_columns(effect), zero)
+            known = self.information[first : first + len(effect.parameters), 0]
+            unknowns = unknowns.with_effect(effect, data.effect_columns(effect), np.diag(known))
+            first += len(effect.parameters)
         x, p = np.zeros(len(unknowns.columns)), len(self.unknowns.columns)
         x[:p] = self._values(fit)
         x[: self._bodies] = self.bodies(fit).ravel()

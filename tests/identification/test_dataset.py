@@ -192,6 +192,16 @@ def test_noise_floor_of_white_noise(bandwidth):
     np.testing.assert_allclose(noise_floor(trajectories), expected, rtol=0.1)
 
 
+def test_noise_floor_of_efforts_that_are_held():
+    """A source at a third of the log's rate repeats its noise, which has zeros above the motion."""
+    log = pendulum_log(10)
+    kept = np.arange(len(log.time)) // 3 * 3
+    held = prepare_logs([replace(log, effort=log.effort[kept])], bandwidth=4.0)
+    expected = np.sqrt(3.0) * NOISE * held[0].filter.noise_gain
+    np.testing.assert_allclose(noise_floor(held), expected, rtol=0.1)
+    np.testing.assert_allclose(noise_floor(held, MODEL), expected, rtol=0.1)
+
+
 def test_noise_floor_of_efforts_that_were_filtered_before():
     """Below the cutoff, noise is the residual of a fitted model; above it there is none."""
     log, sections = pendulum_log(12), butter(8, 10.0, fs=200.0, output="sos")

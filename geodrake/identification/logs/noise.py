@@ -24,6 +24,8 @@ from geodrake.model.robot_model import RobotModel
 Array = NDArray[np.float64]
 
 _SAMPLES = 100_000  # largest number of samples of a segment to use
+_ROUNDING = 1e-9  # of the range of values: changes due to rounding
+_FEWEST_CHANGES, _REGULAR = 20, 0.9  # changes of held efforts, and the least share of regular ones
 _POSES = 200  # number of poses at which the inertia matrix is evaluated
 
 
@@ -66,7 +68,8 @@ def known_noise(
             noise = density * width
             if robot is not None:
                 residual = effort_residual(start, robot, sign_width, trajectory, rows)
-                density = np.minimum(density, quiet_density(residual, rate, bandwidth))
+                quiet = _density_of_new(residual, start.effort, rate, bandwidth)
+                density = np.minimum(density, quiet)
                 mean, quietest = passband_density(residual, rate, bandwidth)
                 shaken = acceleration_powers(start, robot, trajectory, sign_width, rows)
                 carried = np.square(trajectory.acceleration_noise) @ shaken
@@ -116,8 +119,29 @@ def density_of_rows(
     The density of the measured efforts is propagated to the rows, since the rows jump where limbs
     lift and touch.
     """
-    density = quiet_density(segment.effort, rate, bandwidth)
+    density = _density_of_new(segment.effort, segment.effort, rate, bandwidth)
     return density if rows is None else rows.powers(density)
+
+
+def _density_of_new(signal: Array, effort: Array, rate: float, bandwidth: float) -> Array:
+    """Return the noise densities (n,) of signals (N, n) in rows with new efforts.
+
+    A source that is slower than the log holds its efforts, which repeats their noise: its density
+    has zeros above the bandwidth.
+    """
+    every = rows_held(effort)
+    return quiet_density(signal[::every], rate / every, bandwidth)
+
+
+def rows_held(effort: Array) -> int:
+    """Return for how many rows efforts (N, n) keep their values; 1 if they change at any row."""
+    least = _ROUNDING * np.ptp(effort, axis=0)
+    changes = np.flatnonzero((np.abs(np.diff(effort, axis=0)) > least).any(axis=1))
+    gaps = np.diff(changes)
+    if len(gaps) < _FEWEST_CHANGES:
+        return 1
+    usual = int(np.median(gaps))
+    return usual if np.mean(gaps % usual == 0) >= _REGULAR else 1
 
 
 def without_contacts(rows: MixedRows | None, efforts: Array) -> Array:
