@@ -735,6 +735,20 @@ def test_another_number_of_joints_is_refused_with_a_draft_mapping(read_table):
     assert "base:\n    position: q0" in proposal and "elbow:\n    position: q1" in proposal
 
 
+@pytest.mark.parametrize("first", [0, 1])
+def test_numbers_of_columns_that_begin_elsewhere_than_those_of_joints(read_table, first):
+    """With one column more than joints, as of a gripper, equal numbers are of other joints."""
+    each = (("q", POSITION), ("tau", EFFORT))
+    columns = {f"{name}{first + k}": x[:, k % 2] for k in range(3) for name, x in each}
+    joints, shifted = ([f"joint_{k + n}" for k in range(2)] for n in (1 - first, first))
+    with pytest.raises(LogError, match="has 3 joints by numbers, but the model has 2: j") as caught:
+        read_table({"time": TIME, **columns}, tuple(joints))
+    assert f"{joints[0]}:\n    position: q{first}\n" in caught.value.evidence["proposal"]
+    log = read_table({"time": TIME, **columns}, tuple(shifted))
+    assert log.left_out == (f"joint_{first + 2}",)
+    np.testing.assert_array_equal(log.position, POSITION)
+
+
 def joint_a(time, position=POSITION[:, 0], effort=EFFORT[:, 0], name="time"):
     """Return the columns of one joint."""
     return {name: time, "a.position": position, "a.effort": effort}

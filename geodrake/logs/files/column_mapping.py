@@ -36,6 +36,7 @@ from geodrake.logs.files.name_rules import (
     matched,
     meaning_of,
     meanings_of,
+    number_of,
     plain_words,
     words_of,
 )
@@ -752,7 +753,14 @@ class Columns:
                 f"join them as {wanted[0]}.csv+{wanted[1]}.csv. {_MAPPING_ADVICE}",
             )
         are_numbered = wanted is not None and all(map(NUMBERED.fullmatch, names))
-        if wanted is not None and are_numbered and not {*names}.intersection(wanted):
+        are_others = are_numbered and not {*names}.intersection(wanted or ())
+        in_order = {} if wanted is None else self._counted_otherwise(wanted)
+        if wanted is not None and (are_others or in_order):
+            names = tuple(self.having("position"))
+            if in_order:  # for the proposed mapping
+                kept = {(in_order[j], q): s for (j, q), s in self.places.items() if j in in_order}
+                self.places.clear()
+                self.places |= kept
             raise LogError(
                 f"Log {str(path)!r} has {len(names)} joints by numbers, but the model has "
                 f"{len(wanted)}: {listed(wanted)}.",
@@ -764,6 +772,25 @@ class Columns:
         self.joints, self.standing, self.passive = names, position_only, self._without_motor(names)
         unused = [j for j in self.having("position") if j not in (*names, *position_only)]
         self.left_out = tuple(unused) if wanted is not None else ()
+
+    def _counted_otherwise(self, wanted: Sequence[str]) -> dict[str, str]:
+        """Return the joints in the order of columns if these count from 0 and joints from 1.
+
+        Or if these count from 1 and joints from 0; it is empty otherwise. Both are only noticed if
+        there are more columns than joints, as equal numbers are then of different joints.
+        """
+        sources = {joint: self.places[joint, "position"] for joint in self.having("position")}
+        numbers = {j: s.number for j, s in sources.items() if s.style[:1] not in (MAPPED, ("own",))}
+        counts = {j: number for j, number in numbers.items() if number is not None}
+        shared = [number for joint, number in counts.items() if joint in wanted]
+        extra = [number for joint, number in counts.items() if joint not in wanted]
+        lacking = (number_of(joint) for joint in wanted if joint not in sources)
+        first = min(shared, default=0)
+        before = [number for number in (*extra, *lacking) if number is not None and number < first]
+        if not (shared and extra and before):
+            return {}
+        by_number = sorted(counts, key=lambda joint: counts[joint])
+        return {"": "", **dict(zip(by_number, wanted, strict=False))}
 
     def keep_used(self, names: Sequence[str]) -> None:
         """Keep only the columns that are read, with notes on the others."""
