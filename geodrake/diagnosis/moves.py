@@ -67,8 +67,9 @@ def neighbours(
     choices += other_widths(model, fit.choice)
     for move in finder.payload_additions():
         choices += [move.choice, *finder.other_widths(move)]
-    for choice in finder.payload_removals():
-        choices += [each for each in other_widths(model, choice) if each.width > fit.choice.width]
+    for choice in finder.body_removals():
+        wider = [each for each in other_widths(model, choice) if each.width > fit.choice.width]
+        choices += [choice, *wider]
     choices += [move.choice for move in delayed if move.gain > _HOPE]
     for move in delayed:
         if len({*move.choice.delay}) == 1:
@@ -404,11 +405,15 @@ class _MoveFinder:
                 if move.gain > _HOPE:  # wider bodies lower the gain
                     yield move
 
-    def payload_removals(self) -> Iterator[Choice]:
-        """Drop a payload, or another effect of the whole robot, which wider bodies may replace."""
+    def body_removals(self) -> Iterator[Choice]:
+        """Drop a payload, a wrong body, or another effect of the whole robot.
+
+        At the noise of the fit, which may be lower with it, this would lose too much; wider bodies
+        may also replace it.
+        """
         for term in self.fit.terms:
             rest = tuple(other for other in self.fit.terms if other is not term)
-            if _spares_bodies(term) and self.model.are_compatible(rest):
+            if (_spares_bodies(term) or term.is_body) and self.model.are_compatible(rest):
                 yield self._choice(rest)
 
 
