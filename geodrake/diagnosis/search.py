@@ -17,7 +17,7 @@ from geodrake.diagnosis.contact_window import PIECES
 from geodrake.diagnosis.episodes import find_episodes
 from geodrake.diagnosis.handling import is_short, refined_instants
 from geodrake.diagnosis.log_model import Choice, Delay, Fit, LogModel
-from geodrake.diagnosis.moves import is_common, single_replacements
+from geodrake.diagnosis.moves import single_replacements
 from geodrake.diagnosis.proposals import proposed
 from geodrake.diagnosis.refinements import (
     LEVELS,
@@ -122,8 +122,7 @@ class Search:
             if effects:  # before other effects imitate them
                 self._add_candidates(effects)
             self._climb_by_common_first()
-            if not self._has_only_common_effects():
-                self._climb_directly()
+            self._try_bodies_near_file()
             for _ in range(_MOST_ROUNDS):
                 if not self._continue():
                     break
@@ -153,31 +152,6 @@ class Search:
         turned = turned_bases(self.case, self._effects)
         self._effects = [turned.get(effect, effect) for effect in self._effects]
         return {*turned.values()}
-
-    def _has_only_common_effects(self) -> bool:
-        """Return whether common effects leave only noise, with bodies close to the file."""
-        model, fit = self.model, self.fit
-        exceeds_noise = (
-            np.sqrt(model.noise_without_reversals(fit)) > NOISE_MARGIN * model.dataset.noise_floor
-        )
-        near = fit.choice.width <= model.wrong_beyond
-        return near and all(map(is_common, fit.terms)) and not exceeds_noise.any()
-
-    def _climb_directly(self) -> None:
-        """Climb from the start with all effects at once; keep the better explanation.
-
-        Common effects that come first may prevent a rare one.
-        """
-        found, delays = self.fit, self._delays_of_fit()
-        self.fit = climb(self.model, self._start(), optimistic=True)
-        is_near = self.fit.choice.width <= self.model.wrong_beyond
-        try:
-            if not (is_near and self._keys == {term.key for term in found.terms}):
-                self._climb(optimistic=True)
-                self._climb(optimistic=False)
-                self._try_bodies_near_file()
-        finally:  # a stop keeps the better one
-            self._keep_more_probable(found, delays)
 
     def forced(
         self, kind: type[Effect], places: Places | None, further: Sequence[Effect] = ()
@@ -336,14 +310,17 @@ class Search:
         Free bodies may explain an effect, such as a rotor at the first joint. The effect then gains
         nothing until the bodies are held close to the file.
         """
-        wide, delays, limit = self.fit, self._delays_of_fit(), self.model.wrong_beyond
-        if wide.choice.width <= limit:
+        found, delays, model = self.fit, self._delays_of_fit(), self.model
+        rest = [term for term in found.terms if term.effect is not None]
+        if found.choice.width <= model.wrong_beyond and len(rest) == len(found.terms):
             return
-        narrow = [width for width in self.model.widths if width <= limit]
-        self.fit = self._best([replace(wide.choice, width=width) for width in narrow], wide)
-        self._climb(optimistic=True)
-        self._climb(optimistic=False)
-        self._keep_more_probable(wide, delays)
+        widths = [width for width in model.widths if width <= model.wrong_beyond]
+        self.fit = self._best([model.choice(found.choice, rest, width=w) for w in widths], found)
+        try:
+            self._climb(optimistic=True)
+            self._climb(optimistic=False)
+        finally:  # a stop keeps the more probable one
+            self._keep_more_probable(found, delays)
 
     def _delays_of_fit(self) -> Array:
         """Return the delays (nv,) of the explanation, s."""
