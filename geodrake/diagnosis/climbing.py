@@ -21,10 +21,9 @@ _OPTIMISTIC = 0.3
 residuals vary slowly, which lowers their effective sample size."""
 _COUNTED = 20  # best neighbours that are refitted with the present sample sizes
 _ANY = 10_000  # exceeds the number of neighbours
+_LEAST_GAIN = 1e-6  # of a step, which rounding does not reach
 _JUDGED = 5
 """Number of best neighbours whose effective sample sizes are recomputed."""
-
-_LEAST_GAIN = 1e-6
 
 Watch = Callable[[Fit, Fit], None]
 """Callback with the explanations before and after each step."""
@@ -111,7 +110,10 @@ def _step(
     optimistic: bool,
     common: bool,
 ) -> Fit | None:
-    """Return the best new neighbour of a fit; None if none is more probable."""
+    """Return the best new neighbour of a fit, or the best changes of several joints together.
+
+    The result is None if nothing is more probable.
+    """
     model.level_noise(fit)
     shares = model.shares(fit)
     high = np.maximum(shares, _OPTIMISTIC)
@@ -126,18 +128,18 @@ def _step(
         choices = [each.choice for each in fits[:_COUNTED]]
         promising += model.ranked(choices, shares, fit.noise)[:_JUDGED]
         promising += sorted(fits, key=lambda each: -_potential(model, fit, each, high))[:further]
-    better = list[tuple[float, Fit]]()
+    judged = {each.choice.key: each for each in promising}
 
-    def judge(others: Iterable[Fit]) -> None:
+    def gains(others: Iterable[Fit]) -> list[tuple[float, Fit]]:
         results = (gain_of(model, fit, other, optimistic=optimistic) for other in others)
-        better.extend(each for each in results if each is not None and each[0] > _LEAST_GAIN)
-        better.sort(key=lambda each: -each[0])
+        found = [each for each in results if each is not None and each[0] > _LEAST_GAIN]
+        return sorted(found, key=lambda each: -each[0])
 
-    judge({each.choice.key: each for each in promising}.values())
+    better = gains(judged.values())
     several = together(model, fit, [other.choice for _, other in better])
-    if several is not None and several.key not in seen:
-        judge(model.ranked([several], high, fit.noise))
-    return better[0][1] if better else None
+    if several is not None and several.key not in {*seen, *judged}:
+        better += gains(model.ranked([several], high, fit.noise))
+    return max(better, key=lambda each: each[0])[1] if better else None
 
 
 def _potential(model: LogModel, fit: Fit, other: Fit, shares: Array) -> float:

@@ -361,19 +361,19 @@ def _timed(around: _Base, payload: Episode) -> Episode:
     edges = {name: edge for name, edge in inside.items() if edge is not None}
     joints = around.rows(log, body)
     felt = [rows.joint for rows in joints]
-    nearby = [_Edge.of(around.case, (body, felt), log, edge) for edge in edges.values()]
+    nearby = [_Edge.of(around.case, body, felt, (log, edge)) for edge in edges.values()]
     windows = [window for window in nearby if window is not None]
     if len(windows) < len(edges):  # the log has a gap there
         return payload
-    distant, cut = np.zeros(()), list[tuple[int, _Rows, NDArray[np.intp]]]()
+    distant, cut = np.zeros(()), list[tuple[int, int, _Rows, NDArray[np.intp]]]()
     first, last = np.quantile(np.concatenate([e.time for e in joints]), [_LEAST, 1.0 - _LEAST])
-    for rows in joints:
+    for column, rows in enumerate(joints):
         rest = np.ones(len(rows.time), bool)
         for k, window in enumerate(windows):
             close = rest & (rows.time >= window.outputs[0]) & (rows.time <= window.outputs[-1])
             rest &= ~close
             at = np.rint((rows.time[close] - window.outputs[0]) / window.period).astype(np.intp)
-            cut.append((k, rows.part(close), np.clip(at, 0, len(window.outputs) - 1)))
+            cut.append((k, column, rows.part(close), np.clip(at, 0, len(window.outputs) - 1)))
         others = rows.part(rest)
         distant = distant + others.products(others.body * payload.weight(others.time)[:, None])
     values = np.array([*edges.values()])
@@ -396,9 +396,8 @@ def _timed(around: _Base, payload: Episode) -> Episode:
         if other is None:
             return 0.0
         columns = [window.columns(other) for window in windows]
-        sums = distant + sum(
-            rows.products(columns[k][at, felt.index(rows.joint)]) for k, rows, at in cut
-        )
+        near = (rows.products(columns[k][at, j]) for k, j, rows, at in cut)
+        sums = distant + sum(near)
         gain, mass = _gains(np.asarray(sums)[None], around.prior)
         return -float(gain[0]) if mass[0] > 0.0 else 0.0
 
@@ -424,8 +423,14 @@ class _Edge:
         return self.low_pass.output_period
 
     @classmethod
-    def of(cls, case: Case, at: tuple[str, list[int]], log: int, edge: float) -> _Edge | None:
-        """Return the columns of a body at some joints around an edge; None if the log has a gap."""
+    def of(
+        cls, case: Case, body: str, joints: list[int], instant: tuple[int, float]
+    ) -> _Edge | None:
+        """Return the columns of a body at some joints around an instant of a log.
+
+        The result is None if the log has a gap there.
+        """
+        log, edge = instant
         trajectory, model = case.trajectories[log], case.load_model
         low_pass = trajectory.filter
         reach = 3.0 * low_pass.halfwidth * low_pass.period + 2.0 * _SLOWEST
@@ -433,9 +438,9 @@ class _Edge:
         if cut is None or low_pass.output_count(len(cut[0])) < 2:
             return None
         segment, time, outputs = cut
-        q, index = model.positions(segment.position), model.bodies.index(at[0])
+        q, index = model.positions(segment.position), model.bodies.index(body)
         columns = body_regressor(model.tree, q, segment.velocity, segment.acceleration, index)
-        return cls(time, contiguous(columns[:, at[1]]), outputs, low_pass)
+        return cls(time, contiguous(columns[:, joints]), outputs, low_pass)
 
     def columns(self, payload: Episode) -> Array:
         """Return (K, j, 10) filtered columns of the body during an episode."""

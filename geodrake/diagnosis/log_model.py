@@ -210,13 +210,13 @@ class LogModel:
         self.information, self.pull = np.zeros((len(columns), widest)), np.zeros(len(columns))
         self.prior_scores = np.zeros(len(columns))
         self._offsets = np.zeros(len(columns), np.intp)  # from a term's first column
-        self.owner, self.positive = np.full(len(columns), -1), np.zeros(len(columns), bool)
-        for k, (term, at) in enumerate(self.at.items()):
+        self.positive = np.zeros(len(columns), bool)
+        for term, at in self.at.items():
             self.information[at, : len(at)] = term.information
             self.mean[at], self.pull[at] = term.mean, term.information @ term.mean
             self.prior_scores[at[0]] = term.log_information - term.prior_distance
             self._offsets[at] = np.arange(len(at))
-            self.owner[at], self.positive[at[term.positive]] = k, True
+            self.positive[at[term.positive]] = True
         rates, unsure_delay = self._rates()
         places = self._places(columns, rates)  # in the rows of each joint
         self.joint_of = np.array([j for j, _, _ in blocks])
@@ -441,9 +441,9 @@ class LogModel:
 
         A joint is −1 if a term affects several.
         """
-        ends = self.first_term + np.cumsum([0, *(len(term.columns) for term in self.terms)])
-        joints = [self.only_joint[term] for term in self.terms]
-        return ends[:-1], ends[1:], np.array(joints, np.intp)
+        spans = self.spans(self.terms).values()
+        first, ends = (np.array([getattr(s, name) for s in spans]) for name in ("start", "stop"))
+        return first, ends, np.array([self.only_joint[term] for term in self.terms], np.intp)
 
     def prior(self, choice: Choice) -> tuple[Prior, float]:
         """Return the prior of an explanation, and log |Λ| up to a constant."""
@@ -661,9 +661,12 @@ class LogModel:
             priors[load] = weights @ means, np.linalg.inv(covariance)
         return float(np.sqrt(weights @ [w**2 for w, *_ in grid])), priors
 
-    def refitted(self, fit: Fit) -> Fit:
-        """Return another model's explanation fitted with this model's terms, without bounds."""
-        choice = self.choice(fit.choice, self.matching(fit.terms))
+    def refitted(self, fit: Fit, moved: Mapping[Effect, Effect] | None = None) -> Fit:
+        """Return another model's explanation fitted with this model's terms, without bounds.
+
+        `moved` maps replaced effects to new ones.
+        """
+        choice = self.choice(fit.choice, self.matching(fit.terms, moved))
         return self.unbounded(choice, np.full(len(self.rows), _USUAL_SHARE), fit.noise)
 
     def _physical(self, choice: Choice, x: Array, factor: Array, groups: Indices) -> float:
@@ -878,11 +881,8 @@ class LogModel:
         )
         return self._hypothesis(choice, unknowns, fit, held_out)
 
-    def held_out(self, fit: Fit, *, reversing: bool = True) -> HeldOut:
-        """Return the errors in each fold of a fit to all other folds, including errors of gains.
-
-        Predictions omit terms of unresolved reversals if not `reversing`.
-        """
+    def held_out(self, fit: Fit) -> HeldOut:
+        """Return the errors in each fold of a fit to all other folds, including errors of gains."""
         data, weights = self.dataset, fit.weights[: len(self.rows), None, None]
         systems = [
             self.row_columns(fit, j, *np.split(own.factors, [len(own.columns)], axis=2))
@@ -898,8 +898,6 @@ class LogModel:
         factor, scale = scaled_cholesky(self.hessian(fit, uniform_noise=True) - gram)
         rhs = prior + rhs.sum(axis=0) - rhs
         x = np.array([s * solved(L, s * b) for L, s, b in zip(factor, scale, rhs, strict=True)])
-        if not reversing:
-            x[:, self._first_reversal : self.first_term] = 0.0
         sse = [np.square(b - (A @ x[..., None])[..., 0]).sum(axis=1) for A, b in systems]
         inertias = inertias_of(self._inertias[: len(systems)].take(fit.columns, axis=1), x)
         return HeldOut(np.transpose(sse / inertias**2), data.samples, x)

@@ -43,9 +43,10 @@ def neighbours(
 ) -> list[Choice]:
     """Find the most promising neighbours of an explanation.
 
-    `most` does not count other widths of the bodies, the best delays, and `further` effects that
-    gain most if they leave only white noise. If `joints` are given, only their own effects may
-    change, and `further` is ignored. If `common`, only common effects and payloads are added.
+    `most` does not count the best of all joints together, other widths of the bodies, the best
+    delays, and `further` effects that gain most if they leave only white noise. If `joints` are
+    given, only their own effects may change, and `further` is ignored. If `common`, only common
+    effects and payloads are added.
     """
     finder = _MoveFinder(model, fit, common=common)
     moves = finder.moves() if joints is None else finder.rebuilds(joints)
@@ -78,26 +79,27 @@ def neighbours(
 
 
 def together(model: LogModel, fit: Fit, choices: Iterable[Choice]) -> Choice | None:
-    """Return a neighbour with the changes of the first choice at each joint; None if of one joint.
+    """Combine the best changes of single joints; return None if fewer than two joints change.
 
-    Choices count that change the effects or the delay of a single joint.
+    Choices are in order of preference. Only those count that change nothing but the effects or the
+    delay of one joint, and that are compatible with the ones before them.
     """
-    names, previous, first = model.model.joints, fit.choice, dict[str | None, Choice]()
+    names, previous, changed = model.model.joints, fit.choice, set[str]()
+    terms, delay = previous.terms, [*previous.delay]
     for choice in choices:
-        changed = {term.joint for term in {*previous.terms} ^ {*choice.terms}}
-        changed |= {
-            joint
-            for joint, one, other in zip(names, previous.delay, choice.delay, strict=True)
-            if one != other
-        }
-        if len(changed) == 1 and None not in changed and choice.width == previous.width:
-            first.setdefault(changed.pop(), choice)
-    terms = [term for term in previous.terms if term.joint not in first]
-    terms += [t for joint, choice in first.items() for t in choice.terms if t.joint == joint]
-    if len(first) < 2 or not model.are_compatible(tuple(terms)):
-        return None
-    delay = [first.get(name, previous).delay[k] for k, name in enumerate(names)]
-    return model.choice(previous, terms, delay=tuple(delay))
+        differs = model.lateness(choice) != model.lateness(previous)
+        joints = {term.joint for term in {*previous.terms} ^ {*choice.terms}}
+        joints |= {names[k] for k in np.flatnonzero(differs)}
+        joint = next(iter(joints), None)
+        if len(joints) != 1 or joint is None or joint in changed or choice.width != previous.width:
+            continue
+        own = [term for term in choice.terms if term.joint == joint]
+        combined = (*(term for term in terms if term.joint != joint), *own)
+        if model.are_compatible(combined):
+            terms, k = combined, names.index(joint)
+            delay[k] = choice.delay[k]
+            changed.add(joint)
+    return model.choice(previous, terms, delay=tuple(delay)) if len(changed) > 1 else None
 
 
 def additions(model: LogModel, fit: Fit) -> list[Fit]:
@@ -146,7 +148,7 @@ class _MoveFinder:
 
     def __init__(self, model: LogModel, fit: Fit, *, common: bool = False) -> None:
         self.model, self.fit = model, fit
-        self.terms = tuple(t for t in model.terms if is_common(t)) if common else model.terms
+        self.terms = tuple(t for t in model.terms if _is_common(t)) if common else model.terms
         self.around = Neighbourhood(model, fit)
         self.base = model.odds_against(fit.choice)
         self.by_joint: dict[str, list[Term]] = {}
@@ -216,7 +218,7 @@ class _MoveFinder:
         return sorted((m for m in moves if m.gain > _HOPE), key=lambda move: -move.gain)
 
     def delays(self) -> Iterator[Move]:
-        """Delay the efforts of one joint, or of all."""
+        """Change the delay of the efforts of one joint, or of all."""
         for delay, gain in self.around.delays():
             delayed = replace(self.fit.choice, delay=delay)
             yield Move(delayed, gain + self.base - self.model.odds_against(delayed))
@@ -228,7 +230,7 @@ class _MoveFinder:
         kinds, seen = dict[str, dict[str, tuple[Term, float]]](), set[str | None]()
         for k, move in enumerate(moves):
             (term,) = move.added
-            if k < _MOST or term.joint not in seen:
+            if k < _MOST or (term.joint is not None and term.joint not in seen):
                 yield move
             seen.add(term.joint)
             if term.joint is not None:
@@ -422,7 +424,7 @@ def _spares_bodies(term: Term) -> bool:
     return term.is_whole or (term.effect is not None and term.effect.places == "robot")
 
 
-def is_common(term: Term) -> bool:
+def _is_common(term: Term) -> bool:
     """Return whether a term is an effect that any joint may have, or a payload."""
     return term.is_whole or (term.effect is not None and _complexity(term) == 0)
 

@@ -224,7 +224,7 @@ class Neighbourhood:
         result: tuple[Array, Array, Indices] = calc_gains(
             schur,
             (pull, model.prior_scores),
-            (model.owner, model.positive, model.term_spans),
+            (model.positive, model.term_spans),
             ((model.same_as, model.information), dropped_rows),
             (terms, ends),
         )

@@ -259,20 +259,19 @@ def _schur_complement(schur: Schur, a: int, b: int) -> float:
 def calc_gains(
     schur: Schur,
     scores_of: tuple[Array, Array],  # pull (P,) of all columns, and prior scores (P,)
-    # (P,) term of each column; whether it is positive; (T,) first column, end and joint of terms
-    owners: tuple[Indices, NDArray[np.bool_], tuple[Indices, Indices, Indices]],
+    # (P,) whether a column is positive; (T,) first column, end and only joint of each term, or −1
+    of_terms: tuple[NDArray[np.bool_], tuple[Indices, Indices, Indices]],
     # (P,) index of its distinct column; (P, w) its information, from its term's first column on;
     # (i, D) rows of dropped parameters, (i, i) inverse, (i,) values; i may be 0
     priors: tuple[tuple[Indices, Array], tuple[Array, Array, Array]],
     packages: tuple[Indices, Indices],  # terms of all packages, and the end of each
 ) -> tuple[Array, Array, Indices]:
-    """Return the gain in score of each package of terms, without prior odds, and xᵀG⁻¹x.
+    """Return of each package its gain in score without prior odds, xᵀG⁻¹x, and its only joint.
 
-    The latter is the reduction of the weighted squared errors. A gain is −∞ if all positive
-    parameters of a term would be negative. The only joint that each package affects is also
-    returned, or −1.
+    xᵀG⁻¹x is the reduction of the weighted squared errors. A gain is −∞ if all positive parameters
+    of a term would be negative, and a joint is −1 if several are affected.
     """
-    (pull, scores), (owner, positive, spans), (terms, ends) = scores_of, owners, packages
+    (pull, scores), (positive, spans), (terms, ends) = scores_of, of_terms, packages
     (same_as, information), (rows, inverse, values) = priors
     starts, stops, joint_of = spans
     dropped = len(values)
@@ -280,21 +279,21 @@ def calc_gains(
     gains, squares = np.full(len(ends) - 1, -np.inf), np.zeros(len(ends) - 1)
     joints = np.full(len(gains), -1)
     for p in range(len(gains)):
-        package, count = terms[ends[p] : ends[p + 1]], 0
+        package, size, count = terms[ends[p] : ends[p + 1]], 0, 0
         for t in package:
-            count += stops[t] - starts[t]
-        at, count, joint = np.empty(count, np.intp), 0, joint_of[package[0]]
+            size += stops[t] - starts[t]
+        at, owner = np.empty(size, np.intp), np.empty(size, np.intp)
+        joints[p] = joint_of[package[0]]
         for t in package:
-            joint = joint if joint_of[t] == joint else -1
+            joints[p] = joints[p] if joint_of[t] == joints[p] else -1
             for column in range(starts[t], stops[t]):
-                at[count] = column
+                at[count], owner[count] = column, t
                 count += 1
-        joints[p] = joint
         gram, x, prior = np.empty((len(at), len(at))), pull[at], 0.0
         same, first = same_as[at], 0
         for a in range(len(at)):
             prior += scores[at[a]]
-            if owner[at[a]] != owner[at[first]]:
+            if owner[a] != owner[first]:
                 first = a
             for i in range(dropped):
                 x[a] += rows[i, same[a]] * shift[i]
@@ -305,7 +304,7 @@ def calc_gains(
                 for i in range(dropped):
                     gram[a, b] += rows[i, same[a]] * scaled_rows[i, same[b]]
         square, logarithm = _solve_positive(gram, x)
-        if not np.isnan(logarithm) and not _is_infeasible(x, owner[at], positive[at]):
+        if not np.isnan(logarithm) and not _is_infeasible(x, owner, positive[at]):
             gains[p], squares[p] = square - logarithm + prior, square
     return gains, squares, joints
 

@@ -141,7 +141,8 @@ LEVELS = len(_STEPS)
 def _varied(effect: Effect, grid: Sequence[Effect]) -> tuple[str, Array] | None:
     """Return the only parameter of a shape that varies continuously on a grid, and its values.
 
-    A parameter with two values is a choice. The result is None unless all values are positive.
+    A parameter with two values is a choice. The result is None if several parameters vary, or if a
+    value is not positive.
     """
     varied = [(name, found) for name, found in _values(effect, grid).items() if len(found) > 2]
     if len(varied) != 1 or not all(isinstance(x, float) and x > 0.0 for x in varied[0][1]):
@@ -165,39 +166,33 @@ def _finer(effect: Effect, grid: Sequence[Effect], share: float) -> list[Effect]
 
 
 def gain_of_finer_shape(model: LogModel, fit: Fit, term: Term, grid: Sequence[Effect]) -> float:
-    """Return the gain in score between a term's shape and its neighbours, by a parabola.
+    """Return the gain in score by the best shape between a term's neighbours, by a parabola.
 
-    It is infinite if a neighbour is missing.
+    It is infinite if a neighbour is missing, is better, or violates its bounds.
     """
-    varied = None if term.effect is None else _varied(term.effect, grid)
-    if varied is None:
-        return float("inf")
+    effect, unknown = term.effect, float("inf")
+    varied = None if effect is None else _varied(effect, grid)
+    if effect is None or varied is None:
+        return unknown
     name, _ = varied
-    same = [
-        other
-        for other in model.terms
-        if other.key == term.key
-        and (other is term or other.effect != term.effect)
-        and _alike(other.effect, term.effect, name)
-    ]
-    same.sort(key=lambda t: float(getattr(t.effect, name)))
-    at = same.index(term)
-    if not 0 < at < len(same) - 1:
-        return float("inf")
+    alike = {
+        getattr(t.effect, name): t
+        for t in model.terms
+        if t.key == term.key and t.effect == replace(effect, **{name: getattr(t.effect, name)})  # type: ignore[type-var]
+    }
+    value = getattr(effect, name)
+    alike[value], values = term, sorted(alike)
+    at, scores = values.index(value), list[float]()
+    near = values[at - 1 : at + 2] if 0 < at < len(values) - 1 else []
     rest = [t for t in fit.terms if t.key != term.key]
-    choices = [model.choice(fit.choice, [*rest, t]) for t in same[at - 1 : at + 2]]
-    fits = [model.fit(choice, model.shares(fit), fit.noise) for choice in choices]
-    if any(each is None for each in fits):
-        return float("inf")
-    values = np.log([getattr(t.effect, name) for t in same[at - 1 : at + 2]])
-    errors = -np.array([each.score for each in fits if each is not None])
-    step, deviation = parabola_minimum(values - values[1], errors)
+    for each in near:
+        choice = model.choice(fit.choice, [*rest, alike[each]])
+        found = model.fit(choice, model.shares(fit), fit.noise)
+        scores += [] if found is None else [found.score + model.odds_against(choice)]
+    if len(scores) < 3 or np.argmax(scores) != 1:
+        return unknown
+    step, deviation = parabola_minimum(np.log(np.array(near) / value), -np.array(scores))
     return float((step / deviation) ** 2)
-
-
-def _alike(effect: Effect | None, other: Effect | None, name: str) -> bool:
-    """Return whether two shapes of an effect differ in one parameter at most."""
-    return effect is not None and effect == replace(other, **{name: getattr(effect, name)})  # type: ignore[type-var]
 
 
 def _values(effect: Effect, grid: Sequence[Effect]) -> dict[str, set[Any]]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass, replace
 from itertools import chain
 
@@ -32,7 +33,7 @@ from geodrake.diagnosis.refinements import (
     other_choices,
 )
 from geodrake.diagnosis.search_progress import FoundStep, Progress, progress_of
-from geodrake.diagnosis.terms import Key, Term
+from geodrake.diagnosis.terms import Term
 from geodrake.diagnosis.turned_base import turned_bases
 from geodrake.diagnosis.unknown_efforts import is_resolved, reversals, unknown_functions
 from geodrake.effects import Effect
@@ -99,7 +100,8 @@ class Search:
         self._delays: list[ArrayLike] = [*case.dataset.delays]
         self._on_time: Delay = (0,) * len(case.model.joints)
         self._levels = dict[Effect, int]()  # effect -> next level of finer shapes
-        self._fine = dict[object, bool]()  # explanation and term -> whether its shape is exact
+        self._is_fine = dict[tuple[object, Term], bool]()  # by explanation and term
+        self._moved = dict[Effect, Effect]()  # effects -> the same, expanded about other points
         self._has_fitted_delays = False
         self._tried_delays = [self._origin]  # delays (nv,) with columns, the file's first
         # Explanations whose fading speeds, shapes and further effects were searched.
@@ -286,7 +288,7 @@ class Search:
             if not self._needs_refinement(self.fit):
                 break
             # A shape may imitate fading friction.
-            has_faded = bool(self._finer_shapes(self.fit.terms)) and self._update_fading()
+            has_faded = bool(self._finer_shapes(self.fit)) and self._update_fading()
             if not has_faded and not self._refine():
                 break
             shaped = {term.where[0] for term in self.fit.terms if term.effect in self._levels}
@@ -310,35 +312,41 @@ class Search:
         Free bodies may explain an effect, such as a rotor at the first joint. The effect then gains
         nothing until the bodies are held close to the file.
         """
-        found, delays, model = self.fit, self._delays_of_fit(), self.model
-        rest = [term for term in found.terms if term.effect is not None]
-        if found.choice.width <= model.wrong_beyond and len(rest) == len(found.terms):
-            return
-        widths = [width for width in model.widths if width <= model.wrong_beyond]
-        self.fit = self._best([model.choice(found.choice, rest, width=w) for w in widths], found)
+        fit, model = self.fit, self.model
+        rest = [term for term in fit.terms if term.effect is not None]
+        if fit.choice.width > model.wrong_beyond or len(rest) < len(fit.terms):
+            widths = [width for width in model.widths if width <= model.wrong_beyond]
+            choices = [model.choice(fit.choice, rest, width=width) for width in widths]
+            self._climb_from(self._best(choices, fit))
+
+    def _climb_from(self, start: Fit) -> None:
+        """Climb from another explanation, unless that ends at a less probable one or is stopped."""
+        found, delays = self.fit, self._delays_of_fit()
+        before = {
+            name: copy(value) if isinstance(value, list | dict | set) else value
+            for name, value in vars(self).items()
+        }
+        self.fit, is_better = start, False
         try:
             self._climb(optimistic=True)
             self._climb(optimistic=False)
-        finally:  # a stop keeps the more probable one
-            self._keep_more_probable(found, delays)
+            gain = gain_of(self.model, self._refitted(found, delays), self.fit)
+            is_better = gain is not None and gain[0] > 0.0
+        finally:
+            if not is_better:
+                vars(self).update(before)
 
     def _delays_of_fit(self) -> Array:
         """Return the delays (nv,) of the explanation, s."""
         at = [*self.fit.choice.delay], np.arange(len(self._on_time))
         return np.asarray(self.case.model.delays + self.case.dataset.delays[at])
 
-    def _keep_more_probable(self, was: Fit, delays: Array) -> None:
-        """Restore an earlier explanation with some delays (nv,), unless the new one is better."""
-        was = self._refitted(was, delays)
-        better = gain_of(self.model, was, self.fit)
-        if better is None or better[0] <= 0.0:
-            self.fit = was
-
     def _refitted(self, was: Fit, delays: Array) -> Fit:
         """Return an earlier explanation with some delays (nv,), fitted with these columns."""
         differences = np.abs(self.case.model.delays + self.case.dataset.delays - delays)
         nearest = tuple(differences.argmin(axis=0).tolist())
-        return self.model.refitted(replace(was, choice=replace(was.choice, delay=nearest)))
+        delayed = replace(was, choice=replace(was.choice, delay=nearest))
+        return self.model.refitted(delayed, self._moved)
 
     def _needs_refinement(self, fit: Fit) -> bool:
         """Return whether a fit must be refined before anything else is tried, including its loads.
@@ -356,7 +364,7 @@ class Search:
             return True
         if expansions(self.case, self.model, fit):
             return True
-        return bool(self._finer_shapes(fit.terms))
+        return bool(self._finer_shapes(fit))
 
     def _build_model(self) -> LogModel:
         """Return the Gaussian model of the case with columns for all candidates."""
@@ -389,6 +397,7 @@ class Search:
         explanation's delays now.
         """
         self.model, previous = self._build_model(), self.fit
+        self._is_fine.clear()
         terms = self.model.matching(previous.terms, moved)
         delay = previous.choice.delay
         if retimed:
@@ -421,7 +430,7 @@ class Search:
         if not more:
             return False
         self._add_candidates(more)
-        previous, delays = self.fit, self._delays_of_fit()
+        previous = self.fit
         episodes = [effect for effect in more if effect.role is Role.EPISODE]
         others = [effect for effect in more if effect not in episodes]
         common = self._refitted(*self._common)
@@ -432,12 +441,7 @@ class Search:
             self._climb(optimistic=True)
             self._climb(optimistic=False)
             return True
-        self.fit = common
-        try:
-            self._climb(optimistic=True)
-            self._climb(optimistic=False)
-        finally:  # a stop keeps the best explanation so far
-            self._keep_more_probable(previous, delays)
+        self._climb_from(common)
         return True
 
     def _continue(self) -> bool:
@@ -476,10 +480,6 @@ class Search:
     def _names(self) -> Names:
         return _names_of(self.fit)
 
-    @property
-    def _keys(self) -> set[Key]:
-        return {term.key for term in self.fit.terms}
-
     def _doubtful_joints(self) -> set[str]:
         """Return joints with more than noise left, or with a finding at their motors."""
         exceeds_noise = np.sqrt(self.fit.variance) > NOISE_MARGIN * self.case.dataset.noise_floor
@@ -495,8 +495,7 @@ class Search:
         """Update delays, shapes, expansion points and loads; return whether any changed."""
         retimed = self._update_delays()
         changed = retimed
-        shaped = (*self.fit.terms, *other_choices(self.model, self.fit, self._grid))
-        near = self._finer_shapes(shaped)
+        near = self._finer_shapes(self.fit, other_choices(self.model, self.fit, self._grid))
         self._levels |= near
         self._effects += [effect for effect in near if effect not in self._effects]
         moved = expansions(self.case, self.model, self.fit)
@@ -504,6 +503,7 @@ class Search:
         if moved:
             self._effects = [moved.get(effect, effect) for effect in self._effects]
             self._levels = {moved.get(e, e): level for e, level in self._levels.items()}
+            self._moved = {e: moved.get(new, new) for e, new in self._moved.items()} | moved
         loads = self._changed_loads(self.fit)
         changed |= self._update_noise()
         if changed or near or moved:
@@ -516,31 +516,30 @@ class Search:
             return True
         return False
 
-    def _finer_shapes(self, terms: Sequence[Term]) -> dict[Effect, int]:
-        """Return each term's shape and the untried ones around it, with the next level.
+    def _finer_shapes(self, fit: Fit, others: Iterable[Term] = ()) -> dict[Effect, int]:
+        """Return the shape of each term and the untried ones around it, with the next level.
 
-        After the first level, shapes are refined only if that gains.
+        Terms are those of a fit and `others`. After the first level, their shapes are refined only
+        if that gains.
         """
         shapes = dict[Effect, int]()
-        for term in terms:
+        for term in (*fit.terms, *others):
             effect = term.effect
-            if effect is None or self._has_fine_shape(term):
+            if effect is None:
                 continue
             level = self._levels.get(effect, 0)
-            near, level = finer_shapes(effect, self._grid, self._effects, level)
-            shapes |= dict.fromkeys([effect, *near], level) if near else {}
+            near, following = finer_shapes(effect, self._grid, self._effects, level)
+            if near and not (level and self._has_fine_shape(fit, term)):
+                shapes |= dict.fromkeys([effect, *near], following)
         return shapes
 
-    def _has_fine_shape(self, term: Term) -> bool:
-        """Return whether a finer shape of a term that was refined would gain nothing."""
-        level = self._levels.get(term.effect, 0) if term.effect else LEVELS
-        if not 0 < level < LEVELS:
-            return level >= LEVELS
-        key = self.fit.choice.key, term
-        if key not in self._fine:
-            gain = gain_of_finer_shape(self.model, self.fit, term, self._grid)
-            self._fine[key] = gain < _FINER
-        return self._fine[key]
+    def _has_fine_shape(self, fit: Fit, term: Term) -> bool:
+        """Return whether a finer shape of a term that was refined would gain next to nothing."""
+        key = fit.choice.key, term
+        if key not in self._is_fine:
+            gain = gain_of_finer_shape(self.model, fit, term, self._grid)
+            self._is_fine[key] = gain < _FINER
+        return self._is_fine[key]
 
     def _update_noise(self) -> bool:
         """Update effects that add noise of accelerations; return whether they changed."""

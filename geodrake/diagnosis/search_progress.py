@@ -44,15 +44,19 @@ def progress_of(model: LogModel, before: Fit, after: Fit) -> FoundStep:
     dropped = [term for term in before.terms if term not in after.terms]
     names = dict.fromkeys(_name(term) for term in added)
     removed = tuple(dict.fromkeys(_name(term) for term in dropped if _name(term) not in names))
-    if after.choice.delay != before.choice.delay:
+    places = dict.fromkeys(name for term in added or dropped for name in term.where)
+    late = np.flatnonzero(np.array(after.choice.delay) != before.choice.delay).tolist()
+    if late:
         names[effect_of(Role.DELAY).name] = None
+        shared = len(late) == len(model.model.joints)
+        places |= {} if shared else dict.fromkeys(model.model.joints[j] for j in late)
     if not names and not removed:
         names["bodies"] = None
     errors = np.sqrt(before.variance), np.sqrt(after.variance), data.noise_floor
     first, last, floor = (float(np.sqrt(np.mean(np.square(e / deviation)))) for e in errors)
     return FoundStep(
         " + ".join(names),
-        tuple(dict.fromkeys(name for term in added or dropped for name in term.where)),
+        tuple(places),
         first,
         last,
         floor,

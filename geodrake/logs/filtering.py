@@ -194,8 +194,8 @@ class ZeroPhaseFilter:
 
     def apply_weighted(self, columns: Array, weights: Array) -> Array:
         """Filter and decimate contiguous columns (N, ...) times weights (N,) to (K, ...)."""
-        outputs = np.zeros((self.output_count(len(columns)), math.prod(columns.shape[1:])))
         flat = columns.reshape(len(columns), -1)
+        outputs = np.zeros((self.output_count(len(flat)), flat.shape[1]))
         calc_weighted_outputs(self.kernel, (flat, weights), self.output_indices(len(flat)), outputs)
         return outputs.reshape(len(outputs), *columns.shape[1:])
 

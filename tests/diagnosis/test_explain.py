@@ -117,7 +117,8 @@ def test_explain_finds_the_planted_friction_and_reaches_the_floor(explained):
     assert found.verdict == "explained"
     np.testing.assert_allclose(rms(found.end), FLOOR, rtol=0.15)
     assert (rms(found.end) < 0.5 * rms(found.start)).all()
-    assert told[-1].after < 1.01 * told[0].after < told[0].before  # a step may remove an effect
+    assert told[0].after < told[0].before
+    assert told[-1].after <= told[-1].floor
 
 
 def test_steps_tell_values_with_their_deviations(explained):
