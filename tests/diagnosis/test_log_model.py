@@ -26,10 +26,12 @@ from geodrake.diagnosis.findings import (
     without_finding,
 )
 from geodrake.diagnosis.log_model import Choice, LogModel
+from geodrake.diagnosis.moves import together
 from geodrake.diagnosis.neighbourhood import Neighbourhood
 from geodrake.diagnosis.normal_kernels import calc_distance, calc_noise_changes
 from geodrake.diagnosis.notes import left_out_notes, unnamed_notes
 from geodrake.diagnosis.posterior import Posterior
+from geodrake.diagnosis.refinements import gain_of_finer_shape
 from geodrake.diagnosis.search import find_explanation
 from geodrake.effects import (
     CoulombFriction,
@@ -174,6 +176,46 @@ def test_gains_and_losses_are_differences_of_evidence(problem):
         for package, gain in zip(come, instead, strict=True):
             after = dense_evidence(problem, fit, (*left, *package))
             assert gain == pytest.approx(after - now, abs=1e-3)
+
+
+def test_the_best_changes_of_joints_are_combined(problem):
+    model = problem[0]
+    fit, by_effect = settled(model, RUBBING), {term.effect: term for term in model.terms}
+
+    def after(*effects, **changed):
+        terms = [by_effect[effect] for effect in effects]
+        return replace(model.choice(fit.choice, terms), **changed)
+
+    shoulder, worse = (after(RUBBING, each[0]) for each in (OFFSETS, COMPENSATORS))
+    elbow = after(OFFSETS[1])  # in the place of dry friction
+    both = together(model, fit, [shoulder, worse, elbow])
+    assert {term.effect for term in both.terms} == {*OFFSETS}
+    for others in ([worse], [after(RUBBING, PAYLOAD)], [replace(elbow, width=2.0 * WIDTH)]):
+        assert together(model, fit, [shoulder, *others]) is None
+
+
+def test_the_gain_of_a_finer_shape_is_that_of_a_parabola():
+    """Other parameters of the shapes are the same, and prior odds do not count."""
+    speeds, best, deviation = np.array([0.1, 0.15, 0.22, 0.3]), 0.17, 0.2
+    grid = [StribeckFriction("elbow", stribeck_velocity=speed) for speed in speeds.tolist()]
+    terms = [SimpleNamespace(effect=effect, key="stribeck") for effect in grid]
+
+    def fitted(choice, *_):
+        (term,) = choice
+        away = np.log(term.effect.stribeck_velocity / best) / deviation
+        return SimpleNamespace(score=-(away**2) - 7.0 * (term is terms[1]))
+
+    model = SimpleNamespace(
+        terms=terms,
+        fit=fitted,
+        shares=lambda fit: None,
+        choice=lambda was, terms: terms,
+        odds_against=lambda choice: 7.0 * (choice[0] is terms[1]),
+    )
+    fit = SimpleNamespace(terms=[terms[1]], choice=None, noise=None)
+    gains = [gain_of_finer_shape(model, fit, term, grid) for term in terms]
+    assert gains[1] == pytest.approx((np.log(0.15 / best) / deviation) ** 2)
+    assert gains[0] == gains[2] == gains[3] == np.inf  # at an end, or beside a better one
 
 
 # What a search ends with.

@@ -22,6 +22,7 @@ from geodrake import load_model, save_model
 from geodrake.boundary.interrupts import StopSearch
 from geodrake.control.export_proof.held import held_by
 from geodrake.diagnosis import add, diagnose, explain
+from geodrake.diagnosis.search import Search
 from geodrake.diagnosis.turned_base import turned_bases
 from geodrake.effects import FittedEffect, GravityTilt, JointEffect, Parameter, Proposer
 from geodrake.effects.file_terms import Damping
@@ -380,6 +381,27 @@ def test_a_base_on_a_ceiling_is_added():
     unsure = step.deviations["base"]
     assert unsure["tilt_x"] > 5.0 * unsure["tilt_y"]
     assert found.end.nrms < 0.05 * found.start.nrms
+
+
+def test_a_stop_while_bodies_are_held_keeps_the_answer_before(monkeypatch):
+    row, found = ROWS["a rotor at the first joint, whose link could be another"], []
+    case = prepare_case(model_file(row.robot), [recorded(row).log], candidates=True)
+
+    def stop(*_):
+        raise StopSearch
+
+    def stopped_at_its_end(search, start, climb=Search._climb_from):
+        found.append((search.fit, search.model))
+        monkeypatch.setattr(Search, "_refitted", stop)
+        climb(search, start)
+
+    monkeypatch.setattr(Search, "_climb_from", stopped_at_its_end)
+    search = Search(case)
+    with pytest.raises(StopSearch):  # as there is no step yet
+        search.run()
+    ((fit, model),) = found
+    assert search.fit is fit and search.model is model
+    assert fit.choice.width > model.wrong_beyond
 
 
 def test_known_payloads_are_no_other_gravity():
