@@ -85,7 +85,7 @@ def together(model: LogModel, fit: Fit, choices: Iterable[Choice]) -> Choice | N
     delay of one joint, and that are compatible with the ones before them.
     """
     names, previous, changed = model.model.joints, fit.choice, set[str]()
-    terms, delay = previous.terms, [*previous.delay]
+    terms, delay = previous.terms, np.array(previous.delay)
     for choice in choices:
         differs = model.lateness(choice) != model.lateness(previous)
         joints = {term.joint for term in {*previous.terms} ^ {*choice.terms}}
@@ -96,10 +96,11 @@ def together(model: LogModel, fit: Fit, choices: Iterable[Choice]) -> Choice | N
         own = [term for term in choice.terms if term.joint == joint]
         combined = (*(term for term in terms if term.joint != joint), *own)
         if model.are_compatible(combined):
-            terms, k = combined, names.index(joint)
-            delay[k] = choice.delay[k]
+            terms = combined
+            delay = np.where(differs, choice.delay, delay)
             changed.add(joint)
-    return model.choice(previous, terms, delay=tuple(delay)) if len(changed) > 1 else None
+    combined_delay = tuple(delay.tolist())
+    return model.choice(previous, terms, delay=combined_delay) if len(changed) > 1 else None
 
 
 def additions(model: LogModel, fit: Fit) -> list[Fit]:
