@@ -23,7 +23,13 @@ from geodrake.diagnosis.findings import (
     verdict_of,
     without_finding,
 )
-from geodrake.diagnosis.notes import changed_notes, left_out_notes, notes_of, unnamed_notes
+from geodrake.diagnosis.notes import (
+    changed_notes,
+    gain_notes,
+    left_out_notes,
+    notes_of,
+    unnamed_notes,
+)
 from geodrake.diagnosis.results import Correlate, Explanation, Step
 from geodrake.diagnosis.search import SearchResult, find_explanation
 from geodrake.diagnosis.search_progress import Progress
@@ -39,6 +45,7 @@ from geodrake.identification.models.identify import changed_bodies
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 
+_UNUSUAL = 3.0  # deviations of a gain's error that is to be read first
 _STOPPED = "the search was interrupted: more effects or rivals may exist"
 
 
@@ -108,7 +115,8 @@ def investigate(
 ) -> Investigation:
     """Explain a case that has columns for candidates; see `explain`."""
     result, findings, rest = named(find_explanation(case, beliefs, progress=progress))
-    investigation = explained(case, result, findings, notes=unnamed_notes(rest))
+    unusual = gain_notes(rest, beyond=_UNUSUAL)
+    investigation = explained(case, result, findings, notes=unnamed_notes(rest), first=unusual)
     return replace(investigation, correlates=rest.motion)
 
 
@@ -119,8 +127,12 @@ def explained(
     *,
     forced: bool = False,
     notes: Sequence[str] = (),
+    first: Sequence[str] = (),
 ) -> Investigation:
-    """Fit the result of a search, and validate it once on held-out data."""
+    """Fit the result of a search, and validate it once on held-out data.
+
+    Some of the notes are to be read `first`.
+    """
     result, after_case, fit, start, steps = _validated_steps(case, result, findings, forced=forced)
     before, model = comparison(case), case.model
     fades = result.case.model.fading_speed is not model.fading_speed
@@ -137,8 +149,8 @@ def explained(
     verdict = verdict_of(gained or after.errors, bool(steps), left=left)
     if verdict == "unexplained":
         apart = logs_apart_notes(result.case, result.model, result.fit)
-        all_notes += apart
-        before, after = (replace(each, first=(*each.first, *apart)) for each in (before, after))
+        all_notes, first = [*all_notes, *apart], [*first, *apart]
+    before, after = (replace(each, first=(*each.first, *first)) for each in (before, after))
     explanation = Explanation(
         verdict,
         steps,

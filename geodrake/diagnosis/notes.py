@@ -52,13 +52,18 @@ def unnamed_notes(rest: Unnamed) -> list[str]:
         "inertias: add a log without the payload"
         for body, p in rest.loads.items()
     ]
-    gains = [
+    return [*unknown, *loads, *gain_notes(rest)]
+
+
+def gain_notes(rest: Unnamed, *, beyond: float = 0.0) -> list[str]:
+    """Return notes on errors of gains beyond a number of their deviations."""
+    return [
         f"efforts of {joint} are {abs(error):.1%} {'larger' if error > 0.0 else 'smaller'} "
         f"than the model's: {abs(error) / known:.1f} standard deviations of their gain, which is "
         f"known to {known:.1%} (--effort-uncertainty)"
         for joint, (error, known) in rest.gains.items()
+        if abs(error) > beyond * known
     ]
-    return [*unknown, *loads, *gains]
 
 
 def left_out_notes(findings: Sequence[Finding], steps: Sequence[Step]) -> list[str]:

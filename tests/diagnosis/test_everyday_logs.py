@@ -152,6 +152,19 @@ def test_gains_of_efforts_are_no_missing_effect():
         assert not each.end.is_noise and each.at_found_gains.is_noise
     for each in (found, again, ranked):
         assert "from the effort gains" in page_of(each).answer["Remaining error"]
+    assert not found.after.first  # errors within their intervals are no reason to doubt the log
+
+
+def test_a_gain_far_beyond_its_uncertainty_is_said_first():
+    """Such as a gear ratio that is 30 % off."""
+    time, moved = sines(40.0)
+    effort = body_effort(moved.q, moved.v, moved.vd) + DRY * np.tanh(moved.v / 0.01)
+    effort += 0.01 * np.random.default_rng(7).normal(size=effort.shape)
+    log = JointLog("geared", JOINTS, time, moved.q, np.array([1.0, 1.3]) * effort)
+    (first,) = explain(MODEL, [log]).after.first
+    assert first.startswith("efforts of elbow are ")
+    assert float(first.split()[4].rstrip("%")) == pytest.approx(30.0, abs=0.5)
+    assert "standard deviations of their gain" in first
 
 
 @pytest.mark.parametrize("width", [0.008, 0.012])
