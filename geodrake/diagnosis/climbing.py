@@ -21,7 +21,7 @@ _OPTIMISTIC = 0.3
 residuals vary slowly, which lowers their effective sample size."""
 _COUNTED = 20  # best neighbours that are refitted with the present sample sizes
 _ANY = 10_000  # exceeds the number of neighbours
-_LEAST_GAIN = 1e-6  # of a step, which rounding does not reach
+_LEAST_GAIN = 1e-6  # of a step; smaller ones may be due to rounding
 _JUDGED = 5
 """Number of best neighbours whose effective sample sizes are recomputed."""
 

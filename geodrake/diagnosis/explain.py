@@ -45,7 +45,7 @@ from geodrake.identification.models.identify import changed_bodies
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 
-_UNUSUAL = 3.0  # deviations of a gain's error that is to be read first
+_UNUSUAL = 3.0  # deviations beyond which the error of a gain is said first
 _STOPPED = "the search was interrupted: more effects or rivals may exist"
 
 
@@ -131,7 +131,7 @@ def explained(
 ) -> Investigation:
     """Fit the result of a search, and validate it once on held-out data.
 
-    Some of the notes are to be read `first`.
+    `first` are the notes that results print before all else.
     """
     result, after_case, fit, start, steps = _validated_steps(case, result, findings, forced=forced)
     before, model = comparison(case), case.model

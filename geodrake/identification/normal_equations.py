@@ -44,13 +44,10 @@ def scaled_cholesky(matrices: Array, ridge: float = RIDGE) -> tuple[Array, Array
 
 
 @compiled
-def calc_solution(A: Array, b: Array, ridge: float) -> tuple[Array, float]:
-    """Return the solution (n,) of A x = b, scaled and ridged, and log |A|.
-
-    log |A| is not finite if A is not positive definite.
-    """
+def calc_solution(A: Array, b: Array, ridge: float) -> Array:
+    """Return the solution (n,) of A x = b, scaled and ridged."""
     n = len(b)
-    scale, x, unit, logarithm = np.empty(n), np.empty(n), np.empty((n, n)), 0.0
+    scale, x, unit = np.empty(n), np.empty(n), np.empty((n, n))
     for i in range(n):
         scale[i] = A[i, i] ** -0.5
         x[i] = scale[i] * b[i]
@@ -60,14 +57,13 @@ def calc_solution(A: Array, b: Array, ridge: float) -> tuple[Array, float]:
     factor = np.linalg.cholesky(unit)
     for i in range(n):
         x[i] = (x[i] - _product(factor[i], x, i)) / factor[i, i]
-        logarithm += 2.0 * np.log(factor[i, i] / scale[i])
     for i in range(n - 1, -1, -1):
         x[i] /= factor[i, i]
         for k in range(i):
             x[k] -= factor[i, k] * x[i]
     for i in range(n):
         x[i] *= scale[i]
-    return x, logarithm
+    return x
 
 
 @summing

@@ -243,7 +243,7 @@ def calc_bounded(
                     right[row] -= A[i, k] * x[k]
             for column in range(size):
                 inner[row, column] = A[i, free[column]]
-        minimum, settled = calc_solution(inner, right, _RIDGE)[0], True
+        minimum, settled = calc_solution(inner, right, _RIDGE), True
         for row in range(size):
             i = free[row]
             x[i] = min(max(minimum[row], lower[i]), upper[i])

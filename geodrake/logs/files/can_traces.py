@@ -122,7 +122,9 @@ def _database(path: Path) -> Any:
     cantools = optional_package("cantools", "logs", "traces of a CAN bus", LogError)
     with open_regular(path, "DBC", LogError) as file:
         encoding = "utf-8" if _is_utf8(file.read()) else None  # cantools expects cp1252 in a DBC
-    logging.getLogger("cantools").setLevel(logging.ERROR)  # it warns of messages with the same id
+    logger = logging.getLogger("cantools")
+    level = logger.level
+    logger.setLevel(logging.ERROR)  # it warns of messages with the same id
     try:
         return cantools.database.load_file(path, encoding=encoding, strict=False)
     except Exception as error:  # its parsers raise many types
@@ -131,6 +133,8 @@ def _database(path: Path) -> Any:
             f"DBC {str(path)!r} cannot be read: {reason}.",
             advice="Give a DBC, KCD, SYM or ARXML file.",
         ) from error
+    finally:
+        logger.setLevel(level)
 
 
 class _Messages:
