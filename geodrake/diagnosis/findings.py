@@ -56,9 +56,9 @@ class Finding:
 def most_believed(result: SearchResult) -> tuple[SearchResult, Posterior]:
     """Return the explanation with terms replaced by more probable alternatives.
 
-    The most probable explanation may have a term that most others lack: the alternative on which
-    they agree is adopted, another term or none. If explanations lead to each other, the result is
-    the one whose least probable term is the most probable.
+    The most probable explanation may have a term that most others lack, or lack a payload that
+    most others have, in one of several sizes. What they agree on is adopted. If explanations lead
+    to each other, the result is the one whose least probable term is the most probable.
     """
     seen, visited = {result.fit.choice.key}, list[tuple[float, SearchResult, Posterior]]()
     while True:
@@ -69,6 +69,7 @@ def most_believed(result: SearchResult) -> tuple[SearchResult, Posterior]:
         )
         visited.append((certainties[0][1].probability if certainties else 1.0, result, posterior))
         others = [fit for pair in certainties if (fit := _alternative(result, *pair)) is not None]
+        others += [fit for p, fit in posterior.of_loads().values() if p > 0.5]
         if not others:
             return result, posterior
         better = next((fit for fit in others if fit.choice.key not in seen), None)
@@ -121,7 +122,8 @@ def named(result: SearchResult) -> tuple[SearchResult, list[Finding], Unnamed]:
     left = without(result, unknown)
     motion = _correlates(result, left, unknown)
     gains = result.model.usual_gains(result.fit)
-    return left, findings, Unnamed(motion, posterior.of_loads(), gains)
+    loads = {body: p for body, (p, _) in posterior.of_loads().items()}
+    return left, findings, Unnamed(motion, loads, gains)
 
 
 def _correlates(
@@ -293,23 +295,28 @@ def unknown_probability(
 
     Some effect always removes part of an unknown effort's squared error; one that removes many
     times the remaining error is likely real. Errors of unresolved reversals are not counted. As
-    bodies far from the file can replace a payload, payloads are judged with the narrowest bodies.
+    bodies far from the file can replace a payload, payloads are judged by the ratio of errors that
+    would gain as much evidence with equal bodies.
 
     `errors` are those before it, after it, and in the end, with the noise floor.
     """
     if not errors[2].shows_noise:
         return 0.0
-    before, after = (np.array([e.rms**2 for e in table.joints]) for table in errors[:2])
     rows = result.model.dataset.has_rows  # tables contain these joints
-    weight = affected_joints(result, finding)[rows] / np.array([e.std**2 for e in errors[2].joints])
+    left, affected = result.fit.variance[rows], affected_joints(result, finding)[rows]
     noise = JOINT_NOISE_MARGIN**2 * np.array([e.floor**2 for e in errors[2].joints])
-    remaining = float(weight @ np.maximum(result.fit.variance[rows] - noise, 0.0))
+    remaining = float(np.sum(affected * np.maximum(1.0 - noise / left, 0.0)))
     if remaining <= 0.0:
         return 0.0
     if any(term.is_whole for term in finding.terms):
-        fits = _with_and_without(result, finding, result.model.widths[0])
-        before, after = (fit.variance[rows] for fit in fits)
-    removed = max(0.0, float(weight @ (before - after)))
+        without, whole = _with_and_without(result, finding, result.fit.choice.width)
+        samples = (result.model.shares(result.fit) * result.model.rows)[rows]
+        gain = (whole.score - without.score) / samples[affected].sum()
+        removed = affected.sum() * np.expm1(gain)
+    else:
+        before, after = (np.array([e.rms**2 for e in table.joints]) for table in errors[:2])
+        removed = np.sum(affected * (before - after) / left)
+    removed = max(0.0, float(removed))
     beliefs = result.model.beliefs
     return 1.0 / (1.0 + (removed / (beliefs.part * remaining)) ** beliefs.sharpness)
 

@@ -47,12 +47,15 @@ def unnamed_notes(rest: Unnamed) -> list[str]:
         "describes; `--draft-effect FILE` searches for a formula"
         for each in rest.motion
     ]
-    loads = [
-        f"{body} may carry a payload ({p:.0%}), which these logs cannot separate from wrong "
-        "inertias: add a log without the payload"
-        for body, p in rest.loads.items()
-    ]
+    loads = [_load_note(body, p) for body, p in rest.loads.items()]
     return [*unknown, *loads, *gain_notes(rest)]
+
+
+def _load_note(body: str, probability: float) -> str:
+    return (
+        f"{body} may carry a payload ({probability:.0%}), which these logs cannot separate from "
+        "wrong inertias: add a log without the payload"
+    )
 
 
 def gain_notes(rest: Unnamed, *, beyond: float = 0.0) -> list[str]:
@@ -73,7 +76,9 @@ def left_out_notes(findings: Sequence[Finding], steps: Sequence[Step]) -> list[s
         places.setdefault(step.effect, set()).update(step.where)
     for finding in findings:
         missing = [place for place in finding.places if place not in places.get(finding.name, ())]
-        if missing or finding.name not in places:
+        if missing and any(term.is_whole for term in finding.terms):
+            notes += [_load_note(body, finding.certainty.probability) for body in missing]
+        elif missing or finding.name not in places:
             where = f" at {', '.join(missing)}" if missing else ""
             reason = "is zero in the final fit, or removes too little of the held-out error"
             if finding.name in places:

@@ -116,14 +116,21 @@ class Posterior:
         least = self._model.widths[0]
         return self._certainty([fit.choice.width > least for fit in self._fits], set())
 
-    def of_loads(self) -> dict[str, float]:
-        """Return the probability of further payloads, by body."""
-        keys, loads = _keys(self._fit), dict[str, float]()
+    def of_loads(self) -> dict[str, tuple[float, Fit]]:
+        """Return the probability of a further payload, by body, and the most probable fit with it.
+
+        Only payloads beside all terms of the explanation count.
+        """
+        keys, fits = _keys(self._fit), dict[str, list[tuple[float, Fit]]]()
         for fit, weight in zip(self._fits, self._weights.tolist(), strict=True):
             added = [term for term in fit.terms if term.is_whole and term.key not in keys]
             for term in added if keys <= _keys(fit) else ():
-                loads[term.where[0]] = loads.get(term.where[0], 0.0) + weight
-        return {body: p for body, p in loads.items() if p >= _LEAST}
+                fits.setdefault(term.where[0], []).append((weight, fit))
+        loads = {
+            body: (sum(p for p, _ in each), max(each, key=lambda pair: pair[0])[1])
+            for body, each in fits.items()
+        }
+        return {body: load for body, load in loads.items() if load[0] >= _LEAST}
 
     def _certainty(self, has: list[bool], keys: set[Key]) -> Certainty:
         keys_of_fit, chance = _keys(self._fit), 0.0

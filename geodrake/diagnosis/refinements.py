@@ -311,7 +311,8 @@ def fading_speeds(case: Case, model: LogModel, fit: Fit) -> Array | None:
     for power in range(1, _DOUBLINGS + 1):
         speeds.append(np.where(candidates, np.minimum(least * 2.0**power, largest), current))
         errors_at.append(errors(speeds[-1]))
-        if np.all(speeds[-1][candidates] >= largest[candidates]):
+        too_fast = errors_at[-1] > np.maximum(before, errors_at[-2])
+        if np.all((too_fast | (speeds[-1] >= largest))[candidates]):
             break
     best, joints = np.argmin(errors_at, axis=0), np.arange(len(current))
     hopeful = candidates & (np.min(errors_at, axis=0) <= _HOPEFUL * before) & (best > 0)

@@ -104,7 +104,8 @@ class Search:
         self._moved = dict[Effect, Effect]()  # effects -> the same, expanded about other points
         self._has_fitted_delays = False
         self._tried_delays = [self._origin]  # delays (nv,) with columns, the file's first
-        # Explanations whose fading speeds, shapes and further effects were searched.
+        # Dry friction whose fading speeds were searched; explanations whose shapes and further
+        # effects were.
         self._fading_for, self._simplified_for = set[Names](), set[Names]()
         self._suggested_for = set[Names]()
         self._has_climbed_far, self._has_tried_unknowns = False, False
@@ -585,9 +586,11 @@ class Search:
 
     def _update_fading(self) -> bool:
         """Update the speeds at which friction fades; return whether they changed."""
-        if len(self._fading_for) >= _MOST_FADINGS or self._names in self._fading_for:
+        effects = [term.effect for term in self.fit.terms]
+        friction = frozenset(effect for effect in effects if effect is not None and effect.jumps)
+        if len(self._fading_for) >= _MOST_FADINGS or friction in self._fading_for:
             return False
-        self._fading_for.add(self._names)
+        self._fading_for.add(friction)
         speeds = fading_speeds(self.case, self.model, self.fit)
         if speeds is None:
             return False

@@ -20,6 +20,7 @@ from geodrake.diagnosis.final_fit import final_fit
 from geodrake.diagnosis.findings import (
     Unnamed,
     findings_of,
+    most_believed,
     terms_not_held,
     unknown_probability,
     verdict_of,
@@ -434,10 +435,15 @@ def with_load(found, *, width, has_load=True):
 
 def test_a_payload_that_bodies_may_have_taken_in_is_said(loaded):
     bodies = with_load(loaded, width=loaded.model.widths[-2], has_load=False)
-    loads = Posterior(bodies.model, bodies.fit).of_loads()
-    assert loads["lower_link"] > 0.5  # a file that is 30 % off is less probable
-    (note,) = (n for n in unnamed_notes(Unnamed((), loads, {})) if n.startswith("lower_link"))
-    assert f"{loads['lower_link']:.0%}" in note
+    load, fit = Posterior(bodies.model, bodies.fit).of_loads()["lower_link"]
+    assert load > 0.5  # a file that is 30 % off is less probable
+    assert most_believed(bodies)[0].fit.choice.key == fit.choice.key
+    unnamed = Unnamed((), {"lower_link": load}, {})
+    (note,) = (n for n in unnamed_notes(unnamed) if n.startswith("lower_link"))
+    assert f"{load:.0%}" in note
+    finding = named(findings_of(*most_believed(bodies)), Payload.name)
+    (left_out,) = left_out_notes([finding], [])
+    assert left_out.startswith("lower_link may carry a payload")
     having = with_load(loaded, width=loaded.model.widths[0])
     assert "lower_link" not in Posterior(having.model, having.fit).of_loads()
 
