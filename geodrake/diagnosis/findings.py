@@ -296,7 +296,7 @@ def unknown_probability(
     Some effect always removes part of an unknown effort's squared error; one that removes many
     times the remaining error is likely real. Errors of unresolved reversals are not counted. As
     bodies far from the file can replace a payload, payloads are judged by the ratio of errors that
-    would gain as much evidence with equal bodies.
+    would gain as much evidence with equal bodies, at the width up to the fit's that favours them.
 
     `errors` are those before it, after it, and in the end, with the noise floor.
     """
@@ -309,9 +309,10 @@ def unknown_probability(
     if remaining <= 0.0:
         return 0.0
     if any(term.is_whole for term in finding.terms):
-        without, whole = _with_and_without(result, finding, result.fit.choice.width)
+        pairs = [_with_and_without(result, finding, w) for w in _widths_up_to_fit(result)]
         samples = (result.model.shares(result.fit) * result.model.rows)[rows]
-        gain = (whole.score - without.score) / samples[affected].sum()
+        gain = max(whole.score - without.score for without, whole in pairs)
+        gain /= samples[affected].sum()
         removed = affected.sum() * np.expm1(gain)
     else:
         before, after = (np.array([e.rms**2 for e in table.joints]) for table in errors[:2])
@@ -319,6 +320,10 @@ def unknown_probability(
     removed = max(0.0, float(removed))
     beliefs = result.model.beliefs
     return 1.0 / (1.0 + (removed / (beliefs.part * remaining)) ** beliefs.sharpness)
+
+
+def _widths_up_to_fit(result: SearchResult) -> list[float]:
+    return [width for width in result.model.widths if width <= result.fit.choice.width]
 
 
 def _with_and_without(result: SearchResult, finding: Finding, width: float) -> tuple[Fit, Fit]:
@@ -344,13 +349,13 @@ def holds(result: SearchResult, finding: Finding, before: HeldOut, after: HeldOu
 
     Errors of effort gains may spoil predictions, so effects are also judged with gains fitted.
     Bodies far from the file can replace a payload, so payloads are only judged with gains fitted,
-    at both the fit's and the narrowest width. Episodes are judged by predictions only.
+    at all widths up to the fit's. Episodes are judged by predictions only.
     """
     pairs = [(before, after)]
     if finding.terms and not any(isinstance(t.effect, Episode) for t in finding.terms):
         model, widths = result.model, [result.fit.choice.width]
         if any(t.is_whole for t in finding.terms):
-            pairs, widths = [], [model.widths[0], *widths]
+            pairs, widths = [], _widths_up_to_fit(result)
         fits = [_with_and_without(result, finding, width) for width in widths]
         pairs += [(model.held_out(without), model.held_out(whole)) for without, whole in fits]
     return any(_is_better(result, finding, *pair) for pair in pairs)

@@ -76,7 +76,8 @@ def left_out_notes(findings: Sequence[Finding], steps: Sequence[Step]) -> list[s
         places.setdefault(step.effect, set()).update(step.where)
     for finding in findings:
         missing = [place for place in finding.places if place not in places.get(finding.name, ())]
-        if missing and any(term.is_whole for term in finding.terms):
+        carries = (t.is_whole and not isinstance(t.effect, Episode) for t in finding.terms)
+        if missing and any(carries):
             notes += [_load_note(body, finding.certainty.probability) for body in missing]
         elif missing or finding.name not in places:
             where = f" at {', '.join(missing)}" if missing else ""

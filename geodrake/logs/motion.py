@@ -50,7 +50,7 @@ GROUND = "ground"
 """Kind of the efforts of a floating base: external wrenches as far as they are measured."""
 
 UNMEASURED = "unmeasured"
-"""Kind of the unmeasured efforts of a joint with a motor, in the limbs of a floating base."""
+"""Kind of the efforts of a joint with a motor that are not measured, or constant."""
 
 EFFORT_KINDS = ("effort", *SIGNAL_KINDS, PASSIVE)
 """Kinds of efforts: N·m or N, A, V, a fraction of the supply voltage, or none."""
@@ -152,7 +152,7 @@ class JointLog(Short):
 
     @property
     def unmeasured(self) -> tuple[str, ...]:
-        """Joints with motors, in the limbs of a floating base, whose efforts are not measured."""
+        """Joints with motors whose efforts are not measured, or constant."""
         return tuple(j for j in self.joints if self.effort_kinds.get(j) == UNMEASURED)
 
     @property
@@ -306,7 +306,7 @@ class Trajectory:
     contacts: ContactFlags | None = None
     left_out: str = ""  # note on unused data; "" if they are negligible
     force_sensors: tuple[str, ...] = ()  # frames whose measured forces count as efforts
-    unmeasured: tuple[str, ...] = ()  # joints in limbs of a free base without measured efforts
+    unmeasured: tuple[str, ...] = ()  # joints with motors without measured efforts
 
     @property
     def output_counts(self) -> tuple[int, ...]:

@@ -82,7 +82,8 @@ def _dropouts(values: Array) -> Indices:
     steps = np.abs(np.diff(values))[~(zero[1:-2] | zero[2:-1])]
     if len(first) < _FEWEST or not len(steps):
         return np.zeros(0, int)
-    ordinary = np.quantile(steps, _MOST)
+    resolution = np.diff(np.unique(values)).min()  # of coarse readings, for which 0 is a level
+    ordinary = max(np.quantile(steps, _MOST), resolution)
     before, after = values[first - 1], values[last]
     is_far = np.minimum(np.abs(before), np.abs(after)) > _SMALL * ordinary
     is_far &= (last - first <= _BRIEF) & (np.abs(after - before) <= _SMALL * ordinary)

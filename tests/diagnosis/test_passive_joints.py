@@ -92,8 +92,13 @@ def test_what_has_a_motor_by_the_model_is_asked_for(files, tmp_path):
     assert "--passive shoulder" in caught.value.advice
     log = read_log(path, reading=Reading(kinds={"shoulder": "passive"}))
     zeros = replace(log, effort_kinds={})
+    found = compare(driven, [zeros])
+    assert "the effort of shoulder is 0 in 100 % of the rows" in found.first[0]
+    assert "--passive shoulder" in found.first[0]
+    assert [each.joint for each in found.errors.joints] == ["elbow"]
+    still = replace(zeros, effort=np.zeros_like(zeros.effort))
     with pytest.raises(LogError, match="is constant") as caught:
-        compare(driven, [zeros])
+        compare(driven, [still])
     assert "--passive shoulder" in caught.value.advice
 
 

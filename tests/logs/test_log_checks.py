@@ -153,6 +153,13 @@ def test_readings_that_often_drop_to_zero_are_left_out(quantity):
     assert without_faults(found) is found
 
 
+def test_zero_is_a_level_of_coarse_efforts():
+    log, coarse = swing(), np.ones(4000)
+    coarse[np.arange(37, 3900, 40)] = 0.0
+    steps = changed(log, "effort", slice(None), 1, coarse[: len(log)])
+    assert without_faults(steps) is steps
+
+
 FEW = [5, 640, 641, 1240, 1242, 3996]
 
 

@@ -52,6 +52,7 @@ Logs = Sequence[JointLog | str | Path]
 T = TypeVar("T")
 
 _OTHER_SCALE = 0.1  # |log| of a time scale from which on time stamps are suspect
+_MOST_ALIKE = 0.95  # share of equal efforts, beyond which they are constant
 _LEAST_EFFORT = 1e-12  # least variation of a measured effort, N·m or N
 
 
@@ -131,7 +132,7 @@ def prepare_case(
     # Fingerprints of raw signals, as efforts of servos depend on the model.
     measured = {log.name: log.fingerprint for log in matched}
     model, matched, gain_notes = calibrate_efforts(model, matched)
-    _check_efforts(matched)
+    matched, constant = _without_constant_efforts(matched)
     passive = tuple(j for j in matched[0].passive if j not in model.motorless) if matched else ()
     model = replace(model, motorless=(*model.motorless, *passive)) if passive else model
 
@@ -188,10 +189,10 @@ def prepare_case(
     ]
     assumed = dict.fromkeys(note for log in matched for note in log.assumed)
     places = [_in_which(matched, note) for note in assumed]
-    first = tuple(dict.fromkeys([*hints, *unused, *places, *left_out, *training]))
+    first = tuple(dict.fromkeys([*hints, *constant, *unused, *places, *left_out, *training]))
     notes = [*first, *model.notes, *gain_notes, *filter(None, changed)]
     notes += [f"{t.name}: {x}" for t in trajectories for x in t.notes if x not in assumed]
-    notes += [*_still_notes(dataset), f"validated on {len(folds)} held-out folds"]
+    notes += [*_still_notes(dataset, trajectories), f"validated on {len(folds)} held-out folds"]
     return Case(
         model,
         trajectories,
@@ -382,13 +383,14 @@ def _matched(model: RobotModel, logs: Sequence[JointLog | str | Path]) -> list[J
     return matched
 
 
-def _still_notes(dataset: Dataset) -> list[str]:
+def _still_notes(dataset: Dataset, trajectories: Sequence[Trajectory]) -> list[str]:
     """Return a note that samples at rest are left out, if there are any."""
     still = np.where(dataset.has_rows, dataset.still, 0.0)
     most = int(still.argmax())
     if still[most] == 0.0:
         return []
-    also = " and of limbs on the ground" if dataset.is_mixed else ""
+    stands = any(trajectory.contacts is not None for trajectory in trajectories)
+    also = " and of limbs on the ground" if stands else ""
     return [
         f"samples of resting joints{also} are not used, as dry friction is undetermined there: at "
         f"most {100 * still[most]:.0f} %, at {dataset.joints[most]}"
@@ -407,8 +409,15 @@ def _filtered_note(trajectory: Trajectory, *, fitted: bool) -> str:
     )
 
 
-def _check_efforts(logs: Sequence[JointLog]) -> None:
-    """Raise if a measured effort is constant, or if logs differ in which joints have motors."""
+def _without_constant_efforts(
+    logs: Sequence[JointLog],
+) -> tuple[list[JointLog], list[str]]:
+    """Return logs in which constant efforts count as unmeasured, and notes on these.
+
+    Raises:
+        LogError: All efforts of a log are constant, no joint has a motor, or logs differ in which
+            joints have one.
+    """
     check_repeated(logs)  # again, now with efforts
     for log in logs:
         if len(log.passive) == len(log.joints):
@@ -422,25 +431,36 @@ def _check_efforts(logs: Sequence[JointLog]) -> None:
                 advice=f"Use --passive {differing[0]}, or measure its effort in each log.",
                 joints=differing,
             )
+    varying, notes = list[JointLog](), list[str]()
     for log in logs:
         known = np.isfinite(log.effort)
-        highest = log.effort.max(axis=0, initial=-np.inf, where=known)
-        lowest = log.effort.min(axis=0, initial=np.inf, where=known)
-        largest = np.maximum(np.abs(highest), np.abs(lowest))
-        constant = highest - np.maximum(1e-9 * largest, _LEAST_EFFORT) <= lowest
+        measured = np.where(known, log.effort, np.nan)
+        usual = np.nanmedian(np.where(known.any(axis=0), measured, 0.0), axis=0)
+        alike = np.abs(log.effort - usual) <= np.maximum(1e-9 * np.abs(usual), _LEAST_EFFORT)
+        shares = np.sum(alike, axis=0, where=known) / np.maximum(known.sum(axis=0), 1)
+        constant = shares >= _MOST_ALIKE
         kinds = PASSIVE, GROUND, UNMEASURED
-        silent = [joint for joint, kind in log.effort_kinds.items() if kind in kinds]
-        constant &= known.any(axis=0) & ~np.isin(log.joints, silent)
+        silent = np.isin(
+            log.joints, [joint for joint, kind in log.effort_kinds.items() if kind in kinds]
+        )
+        constant &= ~silent
         joints = [joint for joint, c in zip(log.joints, constant, strict=True) if c]
-        if joints:
-            zero = [joint for joint in joints if largest[log.joints.index(joint)] == 0.0]
+        if joints and (constant | silent).all():
             raise LogError(
                 f"The effort of {', '.join(joints)} is constant in log {log.name!r}.",
-                advice=f"It is 0. If the joint has no motor, use --passive {zero[0]}."
-                if zero
-                else "Check what is logged, or fix the joint: --lock JOINT=POSITION.",
+                advice="Check what is logged. If a joint is fixed, use --lock JOINT=POSITION; if "
+                f"it has no motor, --passive {joints[0]}.",
                 joints=joints,
             )
+        notes += [
+            f"{log.name}: the effort of {joint} is {usual[j]:.3g} in {100 * shares[j]:.3g} % of "
+            f"the rows and not used; if the joint has no motor, use --passive {joint}"
+            for j, joint in enumerate(log.joints)
+            if constant[j]
+        ]
+        unmeasured = {**log.effort_kinds, **dict.fromkeys(joints, UNMEASURED)}
+        varying.append(replace(log, effort_kinds=unmeasured) if joints else log)
+    return varying, notes
 
 
 @contextmanager
