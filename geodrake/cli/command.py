@@ -47,7 +47,8 @@ from geodrake.report.views import check_series, samples, series_content, view_of
 
 R = TypeVar("R")
 
-_UNCORRECTED = "The results use the columns as logged; --correct-columns corrects them."
+_AS_LOGGED = "The results use the columns as logged, and are wrong where these are"
+_UNCORRECTED = f"{_AS_LOGGED}; --correct-columns corrects them."
 _CORRECTED = "The results use the corrected columns."
 _PAYLOAD = (
     "Write LOG:BODY:MASS or LOG:BODY:MASS:X,Y,Z in kg and m, such as log_2.csv:flange:3:0,0,0.1."
@@ -356,6 +357,8 @@ def _with_columns(
             if options.hold_resting:  # only reliable with positions in rad
                 model = holding_resting(model, logs)
             given = replace(given, model=model, logs=logs)
+    elif columns:
+        messages.append(f"{_AS_LOGGED}.")
     return given, numbers, [*messages, *unchecked]
 
 

@@ -168,3 +168,8 @@ def test_a_wrong_sign_is_reported_first_and_corrected_on_request(tmp_path):
     assert json.loads(numbers.read_text())["error"]["nrms"] < 0.3
     assert words in told("log", wrong, "--model", MODEL, "-q")
     assert words not in told("log", wrong, "-q")
+
+    write_log(replace(log, effort=np.abs(log.effort)), wrong)
+    said = told("compare", MODEL, wrong, "-q")
+    assert "they are magnitudes" in said
+    assert "are wrong where these are" in said and "--correct-columns" not in said
