@@ -20,6 +20,7 @@ _POOL = 18
 """Number of effects of a joint that are tried in pairs, besides all simple ones."""
 _HOPE = -10.0
 """Least gain of a neighbour to be fitted, at less than a hundredth of the probability."""
+_WRONG_BODIES = 2  # that are tried with other widths of the bodies
 _LOSS = -25.0  # least gain of a removal
 
 
@@ -66,7 +67,7 @@ def neighbours(
         if any(term.joint is None for term in changed):  # bodies may change less
             choices += finder.other_widths(move)
     choices += other_widths(model, fit.choice)
-    for move in finder.payload_additions():
+    for move in finder.body_additions():
         choices += [move.choice, *finder.other_widths(move)]
     for choice in finder.body_removals():
         wider = [each for each in other_widths(model, choice) if each.width > fit.choice.width]
@@ -385,20 +386,22 @@ class _MoveFinder:
         score = model.unbounded(fit.choice, shares, fit.noise).score
         return {t.width: model.unbounded(t, shares, fit.noise).score - score for t in choices}
 
-    def payload_additions(self) -> Iterator[Move]:
-        """Add a payload, or another effect of the whole robot, in place of wider bodies.
+    def body_additions(self) -> Iterator[Move]:
+        """Add a payload, a wrong body or an effect of the whole robot, in place of wider bodies.
 
-        Its mass is chosen with the narrowest bodies: with wide ones it may seem to gain nothing.
+        Its size is chosen with the narrowest bodies: with wide ones it may seem to gain nothing.
+        Of wrong bodies, the most promising ones are tried.
         """
         model, present = self.model, self.fit.terms
         last, width, around = set(model.model.load_bodies), model.widths[0], self.around
         if self.fit.choice.width > width:
             held, shares = replace(self.fit.choice, width=width), self.fit.weights * self.fit.noise
             around = Neighbourhood(model, model.unbounded(held, shares[: len(model.rows)]))
-        kinds = dict[object, list[Terms]]()
+        kinds, wrong = dict[object, list[Terms]](), list[Move]()
         for term in self.terms:
-            if _spares_bodies(term) and (not term.is_body or term.where[0] in last):
-                kinds.setdefault(term.effect, []).append((term,))
+            is_payload = _spares_bodies(term) and (not term.is_body or term.where[0] in last)
+            if is_payload or term.effect is None:
+                kinds.setdefault(term.effect or term.key, []).append((term,))
         for offered in kinds.values():
             possible = model.compatibility.filter(present, offered)
             gains = around.profiled_gains(possible)
@@ -406,7 +409,11 @@ class _MoveFinder:
                 best = int(np.argmax(gains))
                 move = self._move((*present, *possible[best]), float(gains[best]))
                 if move.gain > _HOPE:  # wider bodies lower the gain
-                    yield move
+                    if possible[best][0].effect is None:
+                        wrong.append(move)
+                    else:
+                        yield move
+        yield from sorted(wrong, key=lambda move: -move.gain)[:_WRONG_BODIES]
 
     def body_removals(self) -> Iterator[Choice]:
         """Drop a payload, a wrong body, or another effect of the whole robot.

@@ -125,7 +125,6 @@ class Search:
             if effects:  # before other effects imitate them
                 self._add_candidates(effects)
             self._climb_by_common_first()
-            self._try_bodies_near_file()
             for _ in range(_MOST_ROUNDS):
                 if not self._continue():
                     break
@@ -306,19 +305,6 @@ class Search:
         self._common = self.fit, self._delays_of_fit()
         self._climb(optimistic=True)
         self._climb(optimistic=False)
-
-    def _try_bodies_near_file(self) -> None:
-        """Climb again with bodies close to the file if they are not; keep the better explanation.
-
-        Free bodies may explain an effect, such as a rotor at the first joint. The effect then gains
-        nothing until the bodies are held close to the file.
-        """
-        fit, model = self.fit, self.model
-        rest = [term for term in fit.terms if term.effect is not None]
-        if fit.choice.width > model.wrong_beyond or len(rest) < len(fit.terms):
-            widths = [width for width in model.widths if width <= model.wrong_beyond]
-            choices = [model.choice(fit.choice, rest, width=width) for width in widths]
-            self._climb_from(self._best(choices, fit))
 
     def _climb_from(self, start: Fit) -> None:
         """Climb from another explanation, unless that ends at a less probable one or is stopped."""

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from contextlib import suppress
 
 import numpy as np
 import pinocchio as pin
@@ -158,6 +159,26 @@ pytest.importorskip("pinocchio")
 MASS, CENTRE = 0.4, np.array([0.02, 0.0, 0.05])
 COULOMB, VISCOUS = np.array([0.3, 0.2]), np.array([0.2, 0.15])
 BODY = "lower_link"
+
+
+def test_a_stop_in_a_second_climb_keeps_the_answer_before(monkeypatch):
+    push, states = pushed(2, POINT, np.array([3.0, 0.0, -1.5]), (8.0, 11.0), turning=True), []
+    log = effort_log("double_pendulum", 1, push, **BRIEF).log
+    search = Search(prepare_case(PENDULUM, [log], candidates=True))
+
+    def stop(*_):
+        raise StopSearch
+
+    def stopped_at_its_end(search, start, climb=Search._climb_from):
+        states.append((search.fit, search.model))
+        monkeypatch.setattr(Search, "_refitted", stop)
+        climb(search, start)
+
+    monkeypatch.setattr(Search, "_climb_from", stopped_at_its_end)
+    with suppress(StopSearch):  # raised again if there is no step yet
+        search.run()
+    ((fit, model),) = states
+    assert search.fit is fit and search.model is model
 
 
 @pytest.fixture(scope="module")
