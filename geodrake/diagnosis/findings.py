@@ -32,6 +32,7 @@ DELAY, INERTIA = effect_of(Role.DELAY).name, effect_of(Role.INERTIA).name
 _MOST_OF_REVERSALS = 2.0
 """Largest nrms, over that of the noise, of an explanation with unresolved reversals."""
 _ROUNDING = 1e-6
+_LARGEST_GAIN = 100.0  # per sample, beyond which a payload is certain and powers overflow
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,7 +314,7 @@ def unknown_probability(
         samples = (result.model.shares(result.fit) * result.model.rows)[rows]
         gain = max(whole.score - without.score for without, whole in pairs)
         gain /= samples[affected].sum()
-        removed = affected.sum() * np.expm1(gain)
+        removed = affected.sum() * np.expm1(min(gain, _LARGEST_GAIN))
     else:
         before, after = (np.array([e.rms**2 for e in table.joints]) for table in errors[:2])
         removed = np.sum(affected * (before - after) / left)

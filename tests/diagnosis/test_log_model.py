@@ -14,7 +14,7 @@ from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
 from geodrake import load_model
-from geodrake.diagnosis import Beliefs, Diagnosis, explain
+from geodrake.diagnosis import Beliefs, Diagnosis, explain, findings
 from geodrake.diagnosis.explain import explained
 from geodrake.diagnosis.final_fit import final_fit
 from geodrake.diagnosis.findings import (
@@ -431,6 +431,15 @@ def with_load(found, *, width, has_load=True):
     terms = loads[-2:-1] if has_load else []
     choice = model.choice(was.choice, terms, width=width)
     return replace(found, fit=model.unbounded(choice, model.shares(was), was.noise))
+
+
+def test_a_payload_of_overwhelming_evidence_is_certain(loaded, monkeypatch):
+    having = with_load(loaded, width=loaded.model.widths[0])
+    finding = named(findings_of(having), Payload.name)
+    fits = [replace(having.fit, score=score) for score in (0.0, 1e9)]
+    monkeypatch.setattr(findings, "_with_and_without", lambda *_: fits)
+    errors = [table(1.0, 1e-9)] * 3
+    assert unknown_probability(having, finding, errors) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_payload_that_bodies_may_have_taken_in_is_said(loaded):
