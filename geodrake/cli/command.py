@@ -47,7 +47,7 @@ from geodrake.report.views import check_series, samples, series_content, view_of
 
 R = TypeVar("R")
 
-_AS_LOGGED = "The results use the columns as logged, and are wrong where these are"
+_AS_LOGGED = "The results use the columns as logged, mistakes included"
 _UNCORRECTED = f"{_AS_LOGGED}; --correct-columns corrects them."
 _CORRECTED = "The results use the corrected columns."
 _PAYLOAD = (

@@ -172,4 +172,4 @@ def test_a_wrong_sign_is_reported_first_and_corrected_on_request(tmp_path):
     write_log(replace(log, effort=np.abs(log.effort)), wrong)
     said = told("compare", MODEL, wrong, "-q")
     assert "they are magnitudes" in said
-    assert "are wrong where these are" in said and "--correct-columns" not in said
+    assert "as logged, mistakes included." in said and "--correct-columns" not in said

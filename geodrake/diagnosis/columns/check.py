@@ -48,7 +48,7 @@ def check_columns(
 
     Returns:
         Mistakes, in the order in which to correct them. Empty if the columns are right, if the
-        logs do not show it, if an effort never changes (fits refuse that), or if there are over
+        logs do not show it, if an effort never changes (fits leave it out), or if there are over
         30 joints (the comparison would take minutes).
 
     Raises:
@@ -60,7 +60,7 @@ def check_columns(
         return ()
     samples = column_samples(model.with_volume, *prepared)
     if not (samples.effort.std(axis=0) > _LEAST_EFFORT).all():
-        return ()  # the fit reports it
+        return ()  # fits leave it out
     gaussian = ColumnModel(samples, Beliefs())
     steps = ColumnSearch(gaussian).steps()
     return tuple(_finding(gaussian, step) for step in steps if step.best.mistake.kind)
