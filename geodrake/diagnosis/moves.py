@@ -397,22 +397,20 @@ class _MoveFinder:
         if self.fit.choice.width > width:
             held, shares = replace(self.fit.choice, width=width), self.fit.weights * self.fit.noise
             around = Neighbourhood(model, model.unbounded(held, shares[: len(model.rows)]))
-        kinds, wrong = dict[object, list[Terms]](), list[Move]()
+        kinds, moves = dict[object, list[Terms]](), list[Move]()
         for term in self.terms:
-            is_payload = _spares_bodies(term) and (not term.is_body or term.where[0] in last)
-            if is_payload or term.effect is None:
+            spares = _spares_bodies(term) and (not term.is_body or term.where[0] in last)
+            if spares or term.effect is None:
                 kinds.setdefault(term.effect or term.key, []).append((term,))
         for offered in kinds.values():
             possible = model.compatibility.filter(present, offered)
             gains = around.profiled_gains(possible)
             if np.isfinite(gains).any():
-                best = int(np.argmax(gains))
-                move = self._move((*present, *possible[best]), float(gains[best]))
-                if move.gain > _HOPE:  # wider bodies lower the gain
-                    if possible[best][0].effect is None:
-                        wrong.append(move)
-                    else:
-                        yield move
+                best = possible[int(np.argmax(gains))]
+                moves.append(self._move((*present, *best), float(gains.max()), best))
+        moves = [move for move in moves if move.gain > _HOPE]  # wider bodies lower the gain
+        wrong = [move for move in moves if move.added[0].effect is None]
+        yield from (move for move in moves if move not in wrong)
         yield from sorted(wrong, key=lambda move: -move.gain)[:_WRONG_BODIES]
 
     def body_removals(self) -> Iterator[Choice]:

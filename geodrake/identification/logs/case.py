@@ -132,6 +132,7 @@ def prepare_case(
     # Fingerprints of raw signals, as efforts of servos depend on the model.
     measured = {log.name: log.fingerprint for log in matched}
     model, matched, gain_notes = calibrate_efforts(model, matched)
+    _check_efforts(matched)
     matched, constant = _without_constant_efforts(matched)
     passive = tuple(j for j in matched[0].passive if j not in model.motorless) if matched else ()
     model = replace(model, motorless=(*model.motorless, *passive)) if passive else model
@@ -188,8 +189,8 @@ def prepare_case(
         for log in trained
     ]
     assumed = dict.fromkeys(note for log in matched for note in log.assumed)
-    places = [_in_which(matched, note) for note in assumed]
-    first = tuple(dict.fromkeys([*hints, *constant, *unused, *places, *left_out, *training]))
+    doubts = [*hints, *constant, *unused, *(_in_which(matched, note) for note in assumed)]
+    first = tuple(dict.fromkeys([*doubts, *left_out, *training]))
     notes = [*first, *model.notes, *gain_notes, *filter(None, changed)]
     notes += [f"{t.name}: {x}" for t in trajectories for x in t.notes if x not in assumed]
     notes += [*_still_notes(dataset, trajectories), f"validated on {len(folds)} held-out folds"]
@@ -409,15 +410,8 @@ def _filtered_note(trajectory: Trajectory, *, fitted: bool) -> str:
     )
 
 
-def _without_constant_efforts(
-    logs: Sequence[JointLog],
-) -> tuple[list[JointLog], list[str]]:
-    """Return logs in which constant efforts count as unmeasured, and notes on these.
-
-    Raises:
-        LogError: All efforts of a log are constant, no joint has a motor, or logs differ in which
-            joints have one.
-    """
+def _check_efforts(logs: Sequence[JointLog]) -> None:
+    """Raise if logs repeat each other, have no motor, or differ in which joints have one."""
     check_repeated(logs)  # again, now with efforts
     for log in logs:
         if len(log.passive) == len(log.joints):
@@ -431,6 +425,14 @@ def _without_constant_efforts(
                 advice=f"Use --passive {differing[0]}, or measure its effort in each log.",
                 joints=differing,
             )
+
+
+def _without_constant_efforts(logs: Sequence[JointLog]) -> tuple[list[JointLog], list[str]]:
+    """Return logs in which constant efforts count as unmeasured, and notes on these.
+
+    Raises:
+        LogError: All efforts of a log are constant.
+    """
     varying, notes = list[JointLog](), list[str]()
     for log in logs:
         known = np.isfinite(log.effort)
@@ -440,9 +442,7 @@ def _without_constant_efforts(
         shares = np.sum(alike, axis=0, where=known) / np.maximum(known.sum(axis=0), 1)
         constant = shares >= _MOST_ALIKE
         kinds = PASSIVE, GROUND, UNMEASURED
-        silent = np.isin(
-            log.joints, [joint for joint, kind in log.effort_kinds.items() if kind in kinds]
-        )
+        silent = np.array([log.effort_kinds.get(joint) in kinds for joint in log.joints])
         constant &= ~silent
         joints = [joint for joint, c in zip(log.joints, constant, strict=True) if c]
         if joints and (constant | silent).all():
@@ -454,7 +454,7 @@ def _without_constant_efforts(
             )
         notes += [
             f"{log.name}: the effort of {joint} is {usual[j]:.3g} in {100 * shares[j]:.3g} % of "
-            f"the rows and not used; if the joint has no motor, use --passive {joint}"
+            f"the rows, so it is not used; if the joint has no motor, use --passive {joint}"
             for j, joint in enumerate(log.joints)
             if constant[j]
         ]
