@@ -295,7 +295,8 @@ def unknown_probability(
     """Return the probability that a finding is part of an effort that no effect describes.
 
     Some effect always removes part of an unknown effort's squared error; one that removes many
-    times the remaining error is likely real. Errors of unresolved reversals are not counted. As
+    times the remaining error is likely real. It may do so only beside later ones, so that it is
+    judged both in its order and as the last. Errors of unresolved reversals are not counted. As
     bodies far from the file can replace a payload, payloads are judged by the ratio of errors that
     would gain as much evidence with equal bodies, at the width up to the fit's that favours them.
 
@@ -316,8 +317,12 @@ def unknown_probability(
         gain /= samples[affected].sum()
         removed = affected.sum() * np.expm1(min(gain, _LARGEST_GAIN))
     else:
-        before, after = (np.array([e.rms**2 for e in table.joints]) for table in errors[:2])
-        removed = np.sum(affected * (before - after) / left)
+        tables = [*errors[:2]]
+        if finding.terms:
+            data, fits = result.model.dataset, _with_and_without(result, finding)
+            tables += [error_table(data, result.model.held_out(fit)) for fit in fits]
+        squares = np.array([[e.rms**2 for e in table.joints] for table in tables])
+        removed = np.max(((squares[::2] - squares[1::2]) / left) @ affected)
     removed = max(0.0, float(removed))
     beliefs = result.model.beliefs
     return 1.0 / (1.0 + (removed / (beliefs.part * remaining)) ** beliefs.sharpness)
@@ -327,9 +332,12 @@ def _widths_up_to_fit(result: SearchResult) -> list[float]:
     return [width for width in result.model.widths if width <= result.fit.choice.width]
 
 
-def _with_and_without(result: SearchResult, finding: Finding, width: float) -> tuple[Fit, Fit]:
+def _with_and_without(
+    result: SearchResult, finding: Finding, width: float | None = None
+) -> tuple[Fit, Fit]:
     """Return the explanation without a finding and with it, with one prior width of bodies."""
     model, fit = result.model, result.fit
+    width = fit.choice.width if width is None else width
     rest = [term for term in fit.terms if term not in finding.terms]
     without, whole = (
         model.unbounded(model.choice(fit.choice, terms, width=width), model.shares(fit), fit.noise)

@@ -25,10 +25,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from geodrake.boundary.arguments import Array
+from geodrake.logs.held_readings import held_readings
 
 AXES, QUATERNION, ANGLES = ("x", "y", "z"), ("w", "x", "y", "z"), ("roll", "pitch", "yaw")
-_LONGER = 2.0  # longest held run of equal values, relative to the median
-_MOSTLY, _FEWEST = 0.8, 20  # least share of held runs, and least number of runs
 _STUCK_ROWS, _STUCK_SECONDS, _JUMPS = 20, 0.25, 3.0  # of stuck values, and jump in usual changes
 _POSE = "base.position", "base.orientation"
 _BESIDE = 0.02  # s, uncertainty of the instants of contact
@@ -64,17 +63,11 @@ def without_held(
     for head in dict.fromkeys(n.rpartition(".")[0] for n in columns if not n.endswith(FLAG)):
         names = [name for name in columns if name.rpartition(".")[0] == head]
         values = unwound(np.stack([columns[name] for name in names], -1), names)
-        changes = np.linalg.norm(np.diff(values, axis=0), axis=1)
-        starts = np.flatnonzero(np.append(True, changes != 0.0))
-        lengths = np.diff(np.append(starts, len(values)))
-        run = np.repeat(np.arange(len(starts)), lengths)  # index of the run of each row
-        is_held, every = np.arange(len(values)) != starts[run], int(np.median(lengths))
-        is_short = lengths <= _LONGER * every  # longer runs are standstills
-        if head in _POSE and (stuck := is_held & _stuck(time, starts, changes)[run]).any():
+        if head in _POSE and (stuck := _stuck(time, values)).any():
             values[stuck] = np.nan
             notes.append(f"{head} is stuck and then jumps: {stuck.sum()} rows of it are not used")
-        elif len(lengths) >= _FEWEST and np.mean(is_short & (lengths > 1)) >= _MOSTLY:
-            slow[head] = every, ~(is_held & is_short[run])
+        elif held := held_readings(values):
+            slow[head] = held
             new = slow[head][1] & np.isfinite(values).all(axis=1)
             spline = make_interp_spline(time[new], values[new], k=1 if "force" in head else 3)
             values[~new] = np.where(np.isfinite(values[~new]), spline(time[~new]), np.nan)
@@ -93,13 +86,18 @@ def without_held(
     return repaired, rows.get(slowest, np.ones(len(time), bool)), notes
 
 
-def _stuck(time: Array, starts: NDArray[np.intp], changes: Array) -> NDArray[np.bool_]:
-    """Return whether runs (K,) of equal values are too long and end with a jump."""
-    ends = np.append(starts[1:], len(time)) - 1
-    is_long = (ends - starts > _STUCK_ROWS) & (time[ends] - time[starts] > _STUCK_SECONDS)
+def _stuck(time: Array, values: Array) -> NDArray[np.bool_]:
+    """Return the repeated rows (N,) of values (N, k) that are equal for too long and then jump."""
+    changes = np.linalg.norm(np.diff(values, axis=0), axis=1)
+    starts = np.flatnonzero(np.append(True, changes != 0.0))
+    lengths = np.diff(np.append(starts, len(time)))
+    ends = starts + lengths - 1
+    is_long = (lengths > _STUCK_ROWS + 1) & (time[ends] - time[starts] > _STUCK_SECONDS)
     after = np.append(changes, 0.0)[ends]
     usual = np.nanmax(np.where(is_long, 0.0, after), initial=0.0)
-    return np.asarray(is_long & (after > _JUMPS * usual))
+    stuck = np.repeat(is_long & (after > _JUMPS * usual), lengths)
+    stuck[starts] = False
+    return np.asarray(stuck)
 
 
 def unwound(values: Array, names: Sequence[str]) -> Array:

@@ -32,6 +32,7 @@ _STILL_SPEED, _SPEED_NOISE = 0.01, 4.0  # of the peak speed, and in deviations o
 _SHARPER = 3.0  # bandwidth of the smoothed motion relative to that of efforts and regressors
 _CLEARLY = 2.0  # bandwidth of each single log relative to that of all: less is chance
 _SPEED_AGREEMENT = 0.05  # relative RMS of measured velocity − derivative of position
+_EXACT = 1e-3  # relative error of derivatives of positions without noise
 _LEAST_LEAN = 12  # samples at an end, where derivatives of splines are less accurate
 _FREQUENCIES = 257  # to integrate the spectrum of the acceleration noise
 _NOTED_LOSS, _MUCH = 1e-3, 0.01  # unused shares of a log that are noted, and noted first
@@ -97,7 +98,8 @@ def motion_bandwidth_of(uniform: Sequence[UniformLog], *, time_scale: float = 1.
     chosen = choose_bandwidth([piece for pieces in parts for piece in pieces])
     long = [pieces for pieces in parts if any(len(piece) >= LEAST_SPECTRUM for piece, _ in pieces)]
     lowest = min(map(choose_bandwidth, long)) if len(long) > 1 else chosen
-    return (lowest if lowest > _CLEARLY * chosen else chosen) * time_scale
+    chosen = (lowest if lowest > _CLEARLY * chosen else chosen) * time_scale
+    return min(chosen, *(each.highest_bandwidth for each in uniform))
 
 
 def _prepare(
@@ -120,8 +122,8 @@ def _prepare(
     usable, standstill = replace(uniform, pieces=long), (0.0, 0.0)
     stretches: tuple[Stretch, ...] = ()
     if long:
-        lag, note = _measured_lag(usable, smoother)
-        notes += [note] if note else []
+        lag, lag_notes = _measured_lag(usable, low_pass, smoother)
+        notes += lag_notes
         whole = smooth_pieces(long, smoother, lag)
         stretches, standstill = _trimmed(usable, whole, (low_pass, smoother))
     derived = np.any([stretch.derived for stretch in stretches], axis=0)
@@ -207,18 +209,19 @@ def _check_outputs(uniform: UniformLog, low_pass: ZeroPhaseFilter, outputs: int)
 
 
 def _measured_lag(
-    uniform: UniformLog, smoother: ZeroPhaseFilter
-) -> tuple[Array | None, str | None]:
-    """Return lags (n,), s, of measured velocities, and a note, or None for either.
+    uniform: UniformLog, low_pass: ZeroPhaseFilter, smoother: ZeroPhaseFilter
+) -> tuple[Array | None, list[str]]:
+    """Return lags (n,), s, of measured velocities, and notes.
 
-    A lag is NaN if the velocity disagrees with the derivative of the position beyond the noise of
-    positions. Lags are None without measured velocities.
+    A lag is NaN if the velocity is derived from the position: if it disagrees with the position's
+    derivative beyond its noise, or leads to more noise of accelerations. Lags are None without
+    measured velocities.
     """
     truths, velocities, slopes = [], [], []
     inner = slice(smoother.halfwidth, -smoother.halfwidth)  # free of reflected data
     for part in sample_parts(uniform.pieces):
         if part.velocity is None:
-            return None, None
+            return None, []
         truths.append(differentiate(smoother.smooth(part.position), uniform.period)[inner])
         velocity = smoother.smooth(part.velocity)
         velocities.append(velocity[inner])
@@ -234,21 +237,30 @@ def _measured_lag(
     speed = np.sum(truth**2, axis=0) + penalty
     relative = np.sqrt(error / np.where(speed > 0.0, speed, np.inf))
     worst, wrong = int(np.argmax(relative)), relative > _SPEED_AGREEMENT
-    note = (
-        f"measured velocities of {', '.join(np.array(uniform.log.joints)[wrong])} are not "
-        f"used: that of {uniform.log.joints[worst]} differs by {100 * relative[worst]:.0f} % "
-        "from the derivative of its position"
-    )
+    every = np.ones(len(wrong), bool)
+    noise, least = (_acceleration_noise(uniform, low_pass, derived) for derived in (~every, every))
+    noisy = (least < noise) & (noise > _EXACT * np.sqrt(np.mean(slope**2, axis=0))) & ~wrong
+    joints, notes = np.array(uniform.log.joints), list[str]()
     if wrong.any():
-        return np.where(wrong, np.nan, lag), note
-    latest = int(np.argmax(np.abs(lag)))
-    if abs(lag[latest]) < _NOTED_LAG * uniform.period:
-        return lag, None
-    return lag, (
-        "measured velocities are shifted in time to match the positions: "
-        f"{uniform.log.joints[latest]} is {1e3 * abs(lag[latest]):.2g} ms "
-        f"{'late' if lag[latest] > 0 else 'early'}"
-    )
+        notes.append(
+            f"measured velocities of {', '.join(joints[wrong])} are not used: that of "
+            f"{joints[worst]} differs by {100 * relative[worst]:.0f} % from the derivative of its "
+            "position"
+        )
+    if noisy.any():
+        notes.append(
+            f"measured velocities of {', '.join(joints[noisy])} are not used: the derivatives of "
+            "positions have less noise"
+        )
+    lag = np.where(wrong | noisy, np.nan, lag)
+    latest = int(np.argmax(np.abs(np.nan_to_num(lag))))
+    if abs(lag[latest]) >= _NOTED_LAG * uniform.period:
+        notes.append(
+            "measured velocities are shifted in time to match the positions: "
+            f"{joints[latest]} is {1e3 * abs(lag[latest]):.2g} ms "
+            f"{'late' if lag[latest] > 0 else 'early'}"
+        )
+    return lag, notes
 
 
 def _speed_noise(uniform: UniformLog, smoother: ZeroPhaseFilter) -> Array:

@@ -38,6 +38,7 @@ class Piece:
     acceleration: Array | None = None  # (K, m) of the joints that use them
     measured: tuple[int, ...] = ()  # (m,) indices of these joints
     ground: Array | None = None  # contribution of measured wrenches to the efforts
+    held: int = 1  # every how many rows efforts are new; between, they are interpolated
 
     def __len__(self) -> int:
         return int((self.time[-1] - self.time[0]) / self.period + 1e-3) + 1
@@ -94,6 +95,7 @@ class Segment:
     effort: Array
     period: float
     ground: Array | None = None
+    held: int = 1  # as in `Piece`
 
     def __len__(self) -> int:
         return len(self.time)
@@ -101,7 +103,15 @@ class Segment:
     def __getitem__(self, samples: slice) -> Segment:
         ground = None if self.ground is None else self.ground[samples]
         time, position, velocity, acceleration, effort = (x[samples] for x in self.signals)
-        return Segment(time, position, velocity, acceleration, effort, self.period, ground)
+        return replace(
+            self,
+            time=time,
+            position=position,
+            velocity=velocity,
+            acceleration=acceleration,
+            effort=effort,
+            ground=ground,
+        )
 
     @property
     def motor_effort(self) -> Array:
@@ -194,6 +204,7 @@ class Stretch:
             near.effort[inner],
             self.period,
             None if near.ground is None else near.ground[inner],
+            near.held,
         )
 
 

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from geodrake.boundary.arguments import Array
 from geodrake.errors import LogError
+from geodrake.logs.filtering import HIGHEST_BANDWIDTH
+from geodrake.logs.held_readings import held_readings
 from geodrake.logs.motion import JointLog
 from geodrake.logs.sensor_faults import without_faults
 from geodrake.logs.smoothing import Piece
@@ -65,6 +68,7 @@ def _step(readings: Array) -> float:
 # steps up to this length, s, are then bridged.
 _MOST_SCRAPS, _SCRAP, _LONGEST_BRIDGE = 0.2, 2.0, 0.2
 _LEAST_ROWS = 8  # of a piece
+_LOST = 1.5  # steps of time, relative to the median, after a lost row
 _LONGEST_PERIOD = 0.5  # s; at 2 Hz and less, positions say nothing about accelerations
 _SHORTEST_PERIOD = 1e-5  # s; no robot is logged at more than 100 kHz
 _COARSEST = 0.1  # of a period, coarsest resolution of time stamps
@@ -89,6 +93,11 @@ class UniformLog:
     def seconds(self) -> float:
         """Total length of the pieces, s."""
         return sum(map(len, self.pieces)) * self.period
+
+    @property
+    def highest_bandwidth(self) -> float:
+        """Largest bandwidth of the filter of efforts, Hz."""
+        return HIGHEST_BANDWIDTH / (self.pieces[0].held * self.period)
 
     @property
     def time_scale(self) -> float:
@@ -142,7 +151,7 @@ def _uniform(log: JointLog, *, faultless: bool) -> UniformLog:
         )
         advice += "too low: record 20 rows or more in each oscillation of a joint."
         raise LogError(hint, advice=advice)
-    log = log if faultless else without_faults(log)
+    log, held = _with_new_readings(log if faultless else without_faults(log))
     notes = [*log.notes, *step_notes(log)]
     columns = [log.joints.index(joint) for joint in log.measured]
     acceleration = None if log.acceleration is None or not columns else log.acceleration[:, columns]
@@ -167,11 +176,38 @@ def _uniform(log: JointLog, *, faultless: bool) -> UniformLog:
     _check_period(log, period)
     notes += [note] if note else []
     whole = Piece(
-        log.time, log.position, velocity, log.effort, period, acceleration, (*columns,), log.ground
+        log.time,
+        log.position,
+        velocity,
+        log.effort,
+        period,
+        acceleration,
+        (*columns,),
+        log.ground,
+        held,
     ).rows(kept)
     pieces = tuple(whole.rows(run) for run in runs if run.stop - run.start >= _LEAST_ROWS)
     noise, moving = _find_moving(log, pieces, period)
     return UniformLog(log, pieces, period, noise, moving, tuple(notes))
+
+
+def _with_new_readings(log: JointLog) -> tuple[JointLog, int]:
+    """Return a log without repeated positions, and every how many rows its efforts are new.
+
+    Repeated efforts are interpolated between new ones. Notes say both.
+    """
+    if positions := held_readings(log.position):
+        note = f"positions change every {positions[0]} rows: the rows between are not used"
+        log = replace(log.rows(positions[1]), notes=(*log.notes, note))
+    efforts = held_readings(log.effort)
+    if efforts is None:
+        return log, 1
+    every, is_new = efforts
+    steps = np.diff(log.time, prepend=np.nan)  # after a lost row, a reading may be older
+    known = is_new & (steps < _LOST * np.nanmedian(steps)) & np.isfinite(log.effort).all(axis=1)
+    effort = CubicSpline(log.time[known], log.effort[known], extrapolate=False)(log.time)
+    note = f"efforts change every {every} rows: interpolated between new ones"
+    return replace(log, effort=effort, notes=(*log.notes, note)), every
 
 
 def _never_measured(log: JointLog) -> str:

@@ -14,6 +14,7 @@ from geodrake import load_model
 from geodrake.diagnosis import check_columns, compare
 from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs import noise, reduce
+from geodrake.identification.logs.noise import known_noise as noise_floor
 from geodrake.logs import JointLog, Motion, read_log, smoothing, uniform_log, write_log
 from geodrake.logs.filtering import (
     choose_bandwidth,
@@ -190,6 +191,52 @@ def test_velocities_that_disagree_are_not_used_and_late_ones_moved(measured, wor
     trajectory = prepare_logs([log], bandwidth=4.0)[0]
     assert _error(trajectory.segments[0][:]) < 1e-3
     assert any(words in note for note in trajectory.notes)
+
+
+def test_coarse_velocities_are_derived_from_better_positions():
+    log = _make_log(_uniform())
+    log = replace(log, velocity=np.round(log.velocity / [0.1, 1e-6]) * [0.1, 1e-6])
+    trajectory = prepare_logs([log], bandwidth=4.0)[0]
+    assert _error(trajectory.segments[0][:]) < 1e-3
+    note = "measured velocities of shoulder are not used: the derivatives of positions have less"
+    assert any(note in each for each in trajectory.notes)
+
+
+@pytest.mark.parametrize("every", [2, 3, 4])
+@pytest.mark.parametrize("lost", [0.0, 0.03])
+def test_efforts_of_a_slower_source_are_interpolated(every, lost):
+    """Held efforts would be late by (every − 1) / 2 rows, and attenuated at high frequencies."""
+    rng, time = np.random.default_rng(every), _uniform()
+    clean = np.stack([np.sin(2 * np.pi * 3.0 * time), np.cos(2 * np.pi * 0.5 * time)], 1)
+    kept = rng.random(len(time)) >= lost
+    noise = 0.01 * rng.normal(size=clean.shape)
+    held = (clean + noise)[np.arange(len(time)) // every * every]
+    log = _make_log(time, effort=held).rows(kept)
+    trajectory = prepare_logs([log], bandwidth=4.0)[0]
+    segment = trajectory.segments[0][:]
+    error = segment.effort[:, 0] - np.sin(2 * np.pi * 3.0 * segment.time)
+    assert np.sqrt(np.mean(error**2)) < 0.03
+    assert any(f"efforts change every {every} rows" in note for note in trajectory.notes)
+    floor, known, _ = noise_floor([trajectory])
+    assert known.all()
+    np.testing.assert_allclose(floor, 0.01 * np.sqrt(4.0 * 0.02 * every), rtol=0.3)
+
+
+def test_rows_without_new_positions_are_not_used():
+    time = _uniform()
+    log = _make_log(time)
+    held = log.position[np.arange(len(time)) // 3 * 3]
+    trajectory = prepare_logs([replace(log, position=held, velocity=None)], bandwidth=4.0)[0]
+    assert trajectory.segments[0].period == pytest.approx(0.03)
+    assert _error(trajectory.segments[0][:]) < 2e-3
+
+
+def test_coarse_readings_are_not_held():
+    """The values of an encoder of a slow joint change by one step, after varying times."""
+    time = _uniform()
+    log = _make_log(time)
+    coarse = replace(log, position=np.round(log.position, 1), velocity=None)
+    assert make_uniform(coarse.select(JOINTS[:1])).period == pytest.approx(0.01)
 
 
 def test_shapes_and_time_are_checked():

@@ -18,7 +18,7 @@ from geodrake.identification.logs.noise import (
     sampled,
     without_contacts,
 )
-from geodrake.logs.filtering import HIGHEST_BANDWIDTH, spectral_density
+from geodrake.logs.filtering import spectral_density
 from geodrake.logs.motion import JointLog, Motion, Trajectory
 from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.smoothing import Segment, Stretch
@@ -144,7 +144,7 @@ def _with_more_samples(
     outputs = sum(sum(trajectory.output_counts) for trajectory in trajectories)
     if outputs >= _ENOUGH:
         return None
-    highest = HIGHEST_BANDWIDTH / max(t.filter.period for t in trajectories)
+    highest = min(each.highest_bandwidth for each in uniform)
     sharp = prepare_logs(uniform, bandwidth=chosen, motion_bandwidth=highest)
     frequency, ratio = effort_ratio(cache, sharp)
     noisy = frequency[(frequency > chosen) & (ratio > 1.0)]

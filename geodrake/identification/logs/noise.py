@@ -24,8 +24,6 @@ from geodrake.model.robot_model import RobotModel
 Array = NDArray[np.float64]
 
 _SAMPLES = 100_000  # largest number of samples of a segment to use
-_ROUNDING = 1e-9  # of the range of values: changes due to rounding
-_FEWEST_CHANGES, _REGULAR = 20, 0.9  # changes of held efforts, and the least share of regular ones
 _POSES = 200  # number of poses at which the inertia matrix is evaluated
 
 
@@ -68,7 +66,7 @@ def known_noise(
             noise = density * width
             if robot is not None:
                 residual = effort_residual(start, robot, sign_width, trajectory, rows)
-                quiet = _density_of_new(residual, start.effort, rate, bandwidth)
+                quiet = _density_of_new(residual, start.held, rate, bandwidth)
                 density = np.minimum(density, quiet)
                 mean, quietest = passband_density(residual, rate, bandwidth)
                 shaken = acceleration_powers(start, robot, trajectory, sign_width, rows)
@@ -93,7 +91,7 @@ def filtered_below(trajectory: Trajectory) -> float:
     bandwidth, ends = trajectory.filter.bandwidth, []
     for segment in trajectory.segments:
         start, rate = segment[: sampled(segment)], 1.0 / segment.period
-        silent = is_silent(quiet_density(start.effort, rate, bandwidth), start)
+        silent = is_silent(_density_of_new(start.effort, start.held, rate, bandwidth), start)
         if not silent.all():
             return np.inf
         ends.append(steepest_fall(start.effort, rate, bandwidth))
@@ -119,29 +117,16 @@ def density_of_rows(
     The density of the measured efforts is propagated to the rows, since the rows jump where limbs
     lift and touch.
     """
-    density = _density_of_new(segment.effort, segment.effort, rate, bandwidth)
+    density = _density_of_new(segment.effort, segment.held, rate, bandwidth)
     return density if rows is None else rows.powers(density)
 
 
-def _density_of_new(signal: Array, effort: Array, rate: float, bandwidth: float) -> Array:
+def _density_of_new(signal: Array, held: int, rate: float, bandwidth: float) -> Array:
     """Return the noise densities (n,) of signals (N, n) in rows with new efforts.
 
-    A source that is slower than the log holds its efforts, which repeats their noise: its density
-    has zeros above the bandwidth.
+    A source that is slower than the log has no noise above half its rate.
     """
-    every = rows_held(effort)
-    return quiet_density(signal[::every], rate / every, bandwidth)
-
-
-def rows_held(effort: Array) -> int:
-    """Return for how many rows efforts (N, n) keep their values; 1 if they change at any row."""
-    least = _ROUNDING * np.ptp(effort, axis=0)
-    changes = np.flatnonzero((np.abs(np.diff(effort, axis=0)) > least).any(axis=1))
-    gaps = np.diff(changes)
-    if len(gaps) < _FEWEST_CHANGES:
-        return 1
-    usual = int(np.median(gaps))
-    return usual if np.mean(gaps % usual == 0) >= _REGULAR else 1
+    return quiet_density(signal[::held], rate / held, bandwidth)
 
 
 def without_contacts(rows: MixedRows | None, efforts: Array) -> Array:
