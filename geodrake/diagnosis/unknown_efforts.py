@@ -85,7 +85,10 @@ class UnresolvedReversal(JointEffect):
 
 @dataclass(frozen=True)
 class UnknownFunction(JointEffect):
-    """Smooth function of a joint's own motion that no effect describes."""
+    """Smooth function of a joint's own motion that no effect describes.
+
+    It has no constant, and no part that is proportional to the velocity, which are effects.
+    """
 
     center: float  # middle of the joint's range of motion, rad or m
     reach: float  # half that range
@@ -93,7 +96,7 @@ class UnknownFunction(JointEffect):
 
     name: ClassVar[str] = "unknown_function"
     parameters: ClassVar[tuple[Parameter, ...]] = tuple(
-        Parameter(f"coefficient_{k}", "N·m") for k in range(11)
+        Parameter(f"coefficient_{k}", "N·m") for k in range(9)
     )
     shapes: ClassVar[tuple[Shape, ...]] = tuple(
         Shape(name) for name in ("center", "reach", "speed")
@@ -111,11 +114,9 @@ class UnknownFunction(JointEffect):
         q, v = (joint.q - self.center) / self.reach, joint.v / self.speed
         even, odd = q * q - 1.0 / 3.0, q**3 - 0.6 * q
         return [
-            np.ones_like(q),
             q,
             even,
             odd,
-            v,
             np.abs(v) * v,
             v**3,
             v * v - 1.0 / 3.0,
@@ -154,6 +155,7 @@ class Curve:
     def columns(self, own: JointMotion, other: JointMotion, unsure: float = 0.0) -> list[Array]:
         """Return Legendre polynomials of the signal, times its factor.
 
+        Effects are left to others: offsets, and dry and viscous friction of the joint itself.
         `unsure` is the speed below which the direction of a sum of speeds is unknown.
         """
         signal = (other.q if self.of[0] == "q" else other.v) - self.center
@@ -167,7 +169,10 @@ class Curve:
             "sgn v": own.sign_v,
             "its sign": np.tanh(signal / max(unsure, 1e-9)),
         }[self.times]
-        return [*(factor * legvander(scaled, _DEGREES - 1).T)]
+        first = 0 if self.times == "its sign" else 1
+        if own is other and (self.of, self.times) == ("v", "1"):
+            first = 2
+        return [*(factor * legvander(scaled, first + _DEGREES - 1).T[first:])]
 
     def words(self, other: str = "") -> str:
         """Return its signal in words, given the name of a joint other than its own."""

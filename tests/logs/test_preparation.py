@@ -231,6 +231,13 @@ def test_rows_without_new_positions_are_not_used():
     assert _error(trajectory.segments[0][:]) < 2e-3
 
 
+def test_coarse_efforts_of_a_slower_source_are_found():
+    time = _uniform()
+    coarse = np.round(np.sin(RATES * time[:, None])[np.arange(len(time)) // 3 * 3], 1)
+    uniform = make_uniform(_make_log(time, effort=coarse))
+    assert uniform.pieces[0].held == 3
+
+
 def test_coarse_readings_are_not_held():
     """The values of an encoder of a slow joint change by one step, after varying times."""
     time = _uniform()
