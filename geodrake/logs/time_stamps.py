@@ -178,20 +178,27 @@ def going_on(time: Array, *, of_day: bool = False) -> tuple[Array, tuple[str, ..
 def order_of_time(time: Array, position: Array) -> NDArray[np.intp] | None:
     """Return the order of rows by time if many are out of order; None otherwise.
 
-    Positions must be smooth in that order but not in the order of rows, unless this is reversed.
+    Positions must be smooth in that order but not in the order of rows, unless this is reversed. If
+    no two stamps are close together, few rows may be out of order, as between shuffled blocks, and
+    positions need only be smoother.
     """
     rows = np.flatnonzero(np.isfinite(time))
     backwards = np.count_nonzero(np.diff(time[rows]) < 0.0)
-    if len(rows) < _FEWEST or backwards <= _EVEN * len(rows):
+    if len(rows) < _FEWEST or not backwards:
         return None
     order = rows[np.argsort(time[rows], kind="stable")]
     if backwards == len(rows) - 1:  # reversed
         return order
-    repeated = np.count_nonzero(np.diff(time[order]) == 0.0)
+    steps = np.diff(time[order])
+    are_apart = steps.min() > 0.5 * np.median(steps)
+    if backwards <= _EVEN * len(rows) and not are_apart:
+        return None
+    repeated = np.count_nonzero(steps == 0.0)
     smooth, given = (np.abs(np.diff(position[each], 2, axis=0)) for each in (order, rows))
     if repeated or not (np.isfinite(smooth).any() and np.isfinite(given).any()):
         return None
-    return order if np.nanmean(smooth) < _SMOOTHER * np.nanmean(given) else None
+    least = 1.0 if are_apart else _SMOOTHER
+    return order if np.nanmean(smooth) < least * np.nanmean(given) else None
 
 
 def evened(time: Array, position: Array) -> tuple[Array, tuple[str, ...]]:

@@ -18,7 +18,7 @@ from geodrake.model.base_motion import with_base
 from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel, is_of_file, read_again
 from geodrake.robot.coordinates import Places
-from geodrake.robot.joints import joint_names
+from geodrake.robot.joints import joint_names, single_joints
 from geodrake.robot.plant import motor_joints, scoped_joint_names
 from geodrake.robot.transmission.loop import LoopTransmission
 
@@ -35,7 +35,8 @@ def reading_for(model: RobotModel, reading: Reading | None = None) -> Reading:
     some robots imply their motors.
     """
     motors = motor_joints(model.plant)
-    names = zip(joint_names(model.plant), scoped_joint_names(model.plant), strict=True)
+    of_velocities = joint_names(model.plant)
+    names = zip(of_velocities, scoped_joint_names(model.plant), strict=True)
     driven = {name for name, scoped in names if scoped in motors}
     leaders = model.coordinates.leaders
     followers = {model.coordinates.joints[at] for at in (*leaders, *leaders.values())}
@@ -57,6 +58,10 @@ def reading_for(model: RobotModel, reading: Reading | None = None) -> Reading:
         of_base=bool(model.base_joints),
         limits=limits,
         sliding=frozenset(model.sliding_joints),
+        links={
+            joint.child_body().name(): of_velocities[joint.velocity_start()]
+            for joint in single_joints(model.plant)
+        },
     )
 
 

@@ -9,8 +9,10 @@ import numpy as np
 import pandas
 import pytest
 import yaml
+from pinocchio_logs import MODELS
 from scipy.io import savemat
 
+from geodrake import load_model
 from geodrake.errors import LogError
 from geodrake.logs import Reading, read_log
 from geodrake.logs.files import read_mapping, text_file
@@ -18,6 +20,7 @@ from geodrake.logs.files.grouped_arrays import one_after_another
 from geodrake.logs.files.reading import ColumnMapping, MappedColumn
 from geodrake.logs.files.table import LogTable
 from geodrake.logs.sensor_faults import without_faults
+from geodrake.model.logged_joints import reading_for
 
 JOINTS = ("base", "elbow")
 ROWS = 60
@@ -948,6 +951,17 @@ def test_rows_out_of_order_are_sorted_where_that_makes_positions_smooth(read_tab
         read_table(joint_a(time[order], position, effort))
 
 
+def test_shuffled_blocks_of_rows_are_sorted(read_table):
+    rng, time = np.random.default_rng(4), np.arange(400) * 0.01
+    blocks = np.array_split(np.arange(400), 9)
+    rng.shuffle(blocks)
+    order = np.concatenate(blocks)
+    position = np.sin(3.0 * time) + 1e-4 * rng.normal(size=400)
+    log = read_table(joint_a(time[order], position[order], np.cos(time[order])))
+    np.testing.assert_allclose(log.position[:, 0], position, atol=1e-9)
+    assert "rows were sorted by time" in log.notes
+
+
 def test_files_of_a_joint_each_are_named_after_them(tmp_path):
     for k, joint in enumerate(JOINTS):
         columns = {"time": TIME, "position": POSITION[:, k], "effort": EFFORT[:, k]}
@@ -964,6 +978,22 @@ def test_files_of_a_joint_each_are_named_after_them(tmp_path):
     (tmp_path / "run 3 elbow.csv").rename(tmp_path / "run.csv")
     with pytest.raises(LogError, match=r"of one joint without its name.*base\.csv\+elbow\.csv"):
         read_log(tmp_path / "run.csv", joints=JOINTS, partial=True)
+    (tmp_path / "run.csv").rename(tmp_path / "joint_1.csv")  # the first joint, or the wrist?
+    with pytest.raises(LogError, match="of one joint without its name"):
+        read_log(tmp_path / "joint_1.csv", joints=("base", "wrist_1"), partial=True)
+    alone = read_log(tmp_path / "joint_1.csv", joints=("joint1", "joint2"), partial=True)
+    assert alone.joints == ("joint1",)
+
+
+def test_columns_named_like_links_are_those_of_the_joints_that_move_them(tmp_path):
+    model = load_model(MODELS / "double_pendulum.urdf")
+    data = {"time": TIME}
+    for k, link in enumerate(model.bodies):
+        data |= {f"{link}_pos": np.sin(TIME + k), f"{link}_effort": np.cos(TIME + k)}
+    pandas.DataFrame(data).to_csv(tmp_path / "links.csv", index=False)
+    log = read_log(tmp_path / "links.csv", joints=model.joints, reading=reading_for(model))
+    np.testing.assert_allclose(log.position[:, 1], np.sin(TIME + 1))
+    assert any("named like links" in note for note in log.assumed)
 
 
 def mapping_of(joints, time="time"):

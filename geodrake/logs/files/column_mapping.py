@@ -502,8 +502,18 @@ def _by_names(
     of_joints = _with_targets(table, parsed)
     if joints and len(joints) > 1 and all(meaning.is_bare for meaning in of_joints):
         title = log_name(path)  # the file name may name the joint
-        named = [replace(m, joint=title, words=words_of(title)) for m in of_joints]
-        of_joints = named if {*matched(named, joints)[0].values()} <= {*joints} else of_joints
+        of_title = words_of(title)
+        named = [replace(m, joint=title, words=of_title) for m in of_joints]
+        # A number may be that of the first joint, or that of `wrist_1`.
+        is_name = any(isinstance(w, str) for w in of_title) or of_title in map(words_of, joints)
+        is_known = is_name and {*matched(named, joints)[0].values()} <= {*joints}
+        of_joints = named if is_known else of_joints
+    links, words = reading.links, "columns are named like links: those of the joints that move them"
+    if joints and set() < {m.joint for m in of_joints if m.joint} <= links.keys() - {*joints}:
+        moved = {link: (joint, words_of(joint)) for link, joint in links.items()} | {"": ("", ())}
+        pairs = [(m, moved[m.joint]) for m in of_joints]
+        of_joints = [replace(m, joint=j, words=w) if j else m for m, (j, w) in pairs]
+        assumed.append(words)
     joint_of, notes = matched(of_joints, joints)
     best, others = candidates(of_joints, joint_of, reading)
     _check_one_robot(path, best)

@@ -135,6 +135,7 @@ class Reading:
         joints: Joints of the model; parts of a log without any of them are not used.
         limits: Joint -> its lower and upper position limits in the model, rad or m.
         sliding: Prismatic joints of the model.
+        links: Link of the model -> the joint that moves it.
         of_base: Whether to read the floating base and its feet from a recording.
     """
 
@@ -157,12 +158,13 @@ class Reading:
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     joints: tuple[str, ...] = ()
     sliding: frozenset[str] = frozenset()
+    links: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("columns", "joints"):
             object.__setattr__(self, name, instances(getattr(self, name), name, str))
         instance(self.units, "units", Mapping)
-        for name in ("gains", "gain_deviations", "kinds", "motors", "limits"):
+        for name in ("gains", "gain_deviations", "kinds", "motors", "limits", "links"):
             instance(getattr(self, name), name, Mapping)
         if self.rate is not None:
             positive(self.rate, "The sampling rate of a log, Hz,")
