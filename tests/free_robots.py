@@ -1,5 +1,6 @@
-"""Robots with a free base by Pinocchio, with the same six joints as geodrake's base."""
+"""Robots with a free base by others, with the same six joints as geodrake's base."""
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 
@@ -48,3 +49,35 @@ class FreeRobot:
         """Return the external moment and force (6,) about the origin that the last motion needs."""
         needed = self.data.oMi[1].act(self.data.f[1])
         return np.append(needed.angular, needed.linear)
+
+
+class MuJoCoRobot:
+    """Dynamics of a URDF by MuJoCo's inverse dynamics, with the interface of `FreeRobot`."""
+
+    def __init__(self, text, joints):
+        spec = mujoco.MjSpec.from_string(text)
+        spec.compiler.fusestatic = False
+        root, kinds = spec.worldbody.first_body(), mujoco.mjtJoint
+        axes = np.eye(3)[[0, 1, 2, 2, 1, 0]]
+        for k, axis in enumerate(axes):
+            kind = kinds.mjJNT_SLIDE if k < 3 else kinds.mjJNT_HINGE
+            root.add_joint(name=f"base{k}", type=kind, axis=axis)
+        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        names = [*(f"base{k}" for k in range(6)), *joints]
+        self.order = [int(self.model.joint(name).dofadr[0]) for name in names]
+
+    def efforts(self, q, v, a):
+        """Return the efforts of a motion."""
+        data = self.data
+        for values, state in ((q, data.qpos), (v, data.qvel), (a, data.qacc)):
+            state[self.order] = values
+        mujoco.mj_inverse(self.model, data)
+        return data.qfrc_inverse[self.order].copy()
+
+    def jacobian(self, frame):
+        """Return the Jacobian (6, n) of a frame's position and rotation in the last state."""
+        J = np.zeros((2, 3, self.model.nv))
+        mujoco.mj_jacBody(self.model, self.data, *J, self.model.body(frame).id)
+        return J.reshape(6, -1)[:, self.order]

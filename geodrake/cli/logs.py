@@ -57,6 +57,7 @@ def run_log(options: LogCommandOptions) -> None:
     last = ""
     if options.write_mapping and options.model:
         words = ["geodrake", "explain", options.model, *options.logs]
+        words += ["--floating"] * options.floating
         last = shlex.join(map(str, [*words, "--mapping", options.write_mapping]))
     command = Command(
         "log",

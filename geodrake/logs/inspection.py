@@ -13,7 +13,9 @@ import yaml  # type: ignore[import-untyped]
 from geodrake.boundary.arguments import Array
 from geodrake.errors import GeodrakeError, LogError
 from geodrake.logs.files import Reading, read_log, understand
+from geodrake.logs.files.base_names import mapped_meaning
 from geodrake.logs.files.column_mapping import Columns
+from geodrake.logs.files.name_rules import Meaning
 from geodrake.logs.files.reading import MappedColumn, mapping_of, mapping_yaml
 from geodrake.logs.files.units import unit_of
 from geodrake.logs.log_checks import check_commands
@@ -31,10 +33,10 @@ _LEAST_STEP = 1e-7  # s, precision of stamps since 1970
 
 @dataclass(frozen=True)
 class UnderstoodColumn:
-    """A quantity of a joint and its source in a log."""
+    """A quantity of a joint, or of a base or its feet, and its source in a log."""
 
-    joint: str
-    quantity: str
+    joint: str  # name of the joint; of others, such as `base.position` or `FL_foot.force`
+    quantity: str  # of others, the axis or `contact`
     column: str
     unit: str
     factor: float
@@ -59,6 +61,7 @@ class LogInspection:
     time_unit: str = ""  # unit of time in the file; "" if unknown
     # Doubts about units, signs and order, and data that are unusable at the positions' bandwidth.
     first: tuple[str, ...] = ()
+    floating: tuple[UnderstoodColumn, ...] = ()  # of a base and its feet
 
     @property
     def seconds(self) -> float:
@@ -109,6 +112,7 @@ def inspect_log(
         tuple(dict.fromkeys((*first, *log.notes, *notes))),
         time.unit.name if time and time.unit else "",
         first,
+        tuple(_floating_columns(raw, columns)),
     )
 
 
@@ -130,7 +134,12 @@ def mapping_text(
         joints[each.joint][each.quantity] = mapped
     for joint in found.log.passive:
         joints[joint]["effort"] = MappedColumn(PASSIVE)
-    text = mapping_yaml(joints, time, rate)
+    base = dict[str, MappedColumn]()
+    for each in found.floating:
+        name, unit = f"{each.joint}.{each.quantity}", each.unit or None
+        gain = each.factor / mapped_meaning(name, each.column, unit, 1.0).factor
+        base[name] = MappedColumn(each.column, unit, gain)
+    text = mapping_yaml(joints, time, rate, base)
     _check_mapping(path, found, text)
     return text
 
@@ -168,17 +177,31 @@ def _columns(raw: JointLog, log: JointLog, columns: Columns) -> Iterator[Underst
             else getattr(each, quantity)[:, each.joints.index(joint)]
             for each in (raw, log)
         ]
-        measured, known = map(_known, values)
-        yield UnderstoodColumn(
-            joint,
-            source.quantity if quantity == "effort" else quantity,
-            source.column,
-            source.unit.name if source.unit else "",
-            source.factor,
-            float(known.min()) if len(known) else np.nan,
-            float(known.max()) if len(known) else np.nan,
-            len(raw) - len(measured),
-        )
+        what = source.quantity if quantity == "effort" else quantity
+        yield _understood((joint, what), source, *values)
+
+
+def _floating_columns(log: JointLog, columns: Columns) -> Iterator[UnderstoodColumn]:
+    for name, source in columns.floating.items():
+        values = log.floating[name]
+        what, _, axis = name.rpartition(".")
+        yield _understood((what, axis), source, values, values)
+
+
+def _understood(
+    name: tuple[str, str], source: Meaning, raw: Array, values: Array
+) -> UnderstoodColumn:
+    """Return a column, given its values as measured, and without sensor faults."""
+    measured, known = _known(raw), _known(values)
+    return UnderstoodColumn(
+        *name,
+        source.column,
+        source.unit.name if source.unit else "",
+        source.factor,
+        float(known.min()) if len(known) else np.nan,
+        float(known.max()) if len(known) else np.nan,
+        len(raw) - len(measured),
+    )
 
 
 def _rests(log: JointLog, period: float) -> Iterator[tuple[float, float]]:

@@ -14,7 +14,7 @@ from geodrake.diagnosis.columns import ColumnFinding
 from geodrake.fleet.digest_folder import FAILED, MADE, THERE, DigestRun
 from geodrake.fleet.log_places import date_text
 from geodrake.fleet.settings import SETTINGS_FILE
-from geodrake.logs.inspection import LogInspection
+from geodrake.logs.inspection import LogInspection, UnderstoodColumn
 from geodrake.model.dynamics_check import TOLERANCE, Agreement, DynamicsCheck
 from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage
 from geodrake.report.explaining import effect_cell, first_section, notes_section
@@ -293,7 +293,8 @@ def logs_page(found: InspectedLogs, about: About) -> Page:
     ]
     for name, each in found.logs:
         sections += [
-            Section(name, "Ranges in SI units.", tables=(_columns_table(each),)),
+            Section(name, "Ranges in SI units.", tables=(_columns_table(each.columns),)),
+            Section("Base and feet", tables=(_columns_table(each.floating, "quantity"),)),
             Section("Rows", items=_row_words(each)),
             notes_section(each.notes, each.first),
         ]
@@ -302,11 +303,11 @@ def logs_page(found: InspectedLogs, about: About) -> Page:
     return Page(about, "", tuple(sections), of="", verdict="", first=(first,))
 
 
-def _columns_table(found: LogInspection) -> Table:
-    """Return the range of each quantity of each joint in SI units, and its column."""
-    quantities = list(dict.fromkeys(each.quantity for each in found.columns))
-    rows = {each.joint: dict.fromkeys(quantities, "") for each in found.columns}
-    for each in found.columns:
+def _columns_table(columns: Sequence[UnderstoodColumn], what: str = "joint") -> Table:
+    """Return the range of each quantity in SI units, and its column, with a row for each joint."""
+    quantities = list(dict.fromkeys(each.quantity for each in columns))
+    rows = {each.joint: dict.fromkeys(quantities, "") for each in columns}
+    for each in columns:
         lines = [f"{number(each.lowest)} … {number(each.highest)}"]
         factor = "" if np.isclose(each.factor, 1.0, rtol=1e-12) else f"× {number(each.factor, 4)}"
         column = each.column if each.column != f"{each.joint}.{each.quantity}" else ""
@@ -314,7 +315,7 @@ def _columns_table(found: LogInspection) -> Table:
         lines += [source] if source else []
         lines += [f"{each.empty} empty"] if each.empty else []
         rows[each.joint][each.quantity] = "\n".join(lines)
-    head = ("joint", *(f"{q}, {_SI[q]}" if q in _SI else q for q in quantities))
+    head = (what, *(f"{q}, {_SI[q]}" if q in _SI else q for q in quantities))
     entries = [cells(joint, *texts.values()) for joint, texts in rows.items()]
     return Table(head, entries, words=len(head))
 

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pandas
 import pytest
+import yaml
 from foreign_logs import EPOCH, joint_states, nanoseconds, ros2_header, ros2_store, write_rosbag2
-from free_robots import FreeRobot
+from free_robots import FreeRobot, MuJoCoRobot
 from quadruped import FEET, JOINTS, LEGS, joint_text, link_text, quadruped
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
@@ -25,7 +26,8 @@ from geodrake.identification.logs.candidate_effects import candidate_effects
 from geodrake.identification.logs.case import prepare_case
 from geodrake.identification.logs.contact_rows import rows_without
 from geodrake.identification.logs.noise import known_noise
-from geodrake.logs import JointLog, read_log
+from geodrake.logs import JointLog, Reading, read_log
+from geodrake.logs.files import read_mapping
 from geodrake.logs.files.messages import base_sources
 from geodrake.logs.floating import ANGLES, ContactFlags
 from geodrake.logs.preparation import prepare_logs
@@ -196,13 +198,14 @@ def test_balls_are_those_of_the_file(tmp_path, name, text, link):
 
 @pytest.mark.parametrize("unmeasured", [(), ("fl_pitch", "hr_knee")], ids=["all", "some"])
 @pytest.mark.parametrize(("feet", "axes"), [(FEET, 3), (FEET[:2], 6)], ids=["points", "soles"])
-def test_rows_without_contact_forces_are_pinocchios(model, feet, axes, unmeasured):
+@pytest.mark.parametrize("engine", [FreeRobot, MuJoCoRobot])
+def test_rows_without_contact_forces_are_those_of_others(model, engine, feet, axes, unmeasured):
     """N (Y φ) = N (τ + Jᵀ w) for any forces, and moments at soles, of the feet that touch.
 
     What motors do of which nobody measured it is not in them.
     """
     assert model.joints == (*model.base_joints, *JOINTS)
-    dog, rng = FreeRobot(model.path.read_text(), JOINTS), np.random.default_rng(3)
+    dog, rng = engine(model.path.read_text(), JOINTS), np.random.default_rng(3)
     q, v, a = rng.uniform(-0.7, 0.7, (3, 20, 18))
     bodies = RobotBodies(model.tree, model.positions(q), model.total_phi)
     frames = contact_frames(model, feet)
@@ -823,6 +826,31 @@ def test_commands_read_the_columns_of_a_free_base(tmp_path, monkeypatch, maker, 
     assert found.exit_code == 0, found.output
     assert "have no measurements" not in found.output
     assert command == "log" or (tmp_path / "page.html").stat().st_size > 10_000
+
+
+def test_mappings_name_the_columns_of_a_base_and_its_feet(tmp_path, monkeypatch, maker):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "quadruped.urdf").write_text(quadruped(), encoding="utf-8")
+    log = maker.log(wrenches=True)
+    columns = log.columns()
+    pandas.DataFrame(columns).to_csv("walk.csv", index=False)
+    asked = ["walk.csv", "--model", "quadruped.urdf", "--floating", "--write-mapping", "m.yaml"]
+    said = CliRunner().invoke(app, ["log", *asked])
+    assert "base.position" in said.output and "fl_foot.force" in said.output
+    content = yaml.safe_load((tmp_path / "m.yaml").read_text())
+    assert content["base"].keys() == log.floating.keys()
+    odd = {name: f"channel {k}" for k, name in enumerate(log.floating)}
+    columns["base.position.x"] = 1000.0 * columns["base.position.x"]
+    pandas.DataFrame({odd.get(name, name): x for name, x in columns.items()}).to_csv("odd.csv")
+    content["base"] = odd | {"base.position.x": {"column": odd["base.position.x"], "unit": "mm"}}
+    (tmp_path / "m.yaml").write_text(yaml.safe_dump(content))
+    found = read_log("odd.csv", reading=Reading(mapping=read_mapping(tmp_path / "m.yaml")))
+    for name, values in log.floating.items():
+        np.testing.assert_allclose(found.floating[name], values, atol=1e-9)
+    content["base"]["base.nose.x"] = "time"
+    (tmp_path / "m.yaml").write_text(yaml.safe_dump(content))
+    with pytest.raises(LogError, match=r"'base\.nose\.x' is no quantity of a base"):
+        read_mapping(tmp_path / "m.yaml")
 
 
 @pytest.mark.sampled(2)

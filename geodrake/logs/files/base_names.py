@@ -10,8 +10,9 @@ import re
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
 
-from geodrake.logs.files.name_rules import Meaning, by_word, without_unit
-from geodrake.logs.files.units import WORDS
+from geodrake.errors import ArgumentError
+from geodrake.logs.files.name_rules import MAPPED, Meaning, by_word, without_unit
+from geodrake.logs.files.units import WORDS, unit_of
 from geodrake.logs.floating import ANGLES, AXES, FLAG
 
 _FIELDS, _SHORT = (by_word(WORDS[kind]) for kind in ("base_fields", "short_base_fields"))
@@ -31,6 +32,23 @@ _UNNUMBERED = "", "q", "force", "torque"  # numbers after these fields are joint
 _ANGLES = dict(zip("xyz", ANGLES, strict=True))
 _LINKS = re.compile(r"trunk|torso|pelvis", re.IGNORECASE)  # joints may have such names
 _CONTACT = re.compile(r"(?P<frame>.+?)[./](?:in_)?contact(?:_state)?", re.IGNORECASE)
+
+
+def mapped_meaning(name: str, column: str, unit: str | None, gain: float) -> Meaning:
+    """Return the meaning of a column that a mapping assigns to geodrake's own name.
+
+    Raises:
+        ArgumentError: The name is none of these, or the unit is unknown.
+    """
+    quantities = [q for w in name.split(".") for q in [_QUANTITIES.get(w.rpartition("_")[2])] if q]
+    if _floating_name(name) != name or not quantities:
+        raise ArgumentError(
+            f"{name!r} is no quantity of a base or of its feet.",
+            advice="Write base.position.x, base.orientation.w, imu.angular_velocity.x, "
+            "LINK.force.x, LINK.contact or the like.",
+        )
+    found = unit_of(unit, quantities[-1]) if unit else None
+    return Meaning(column, name, unit=found, style=MAPPED, gain=gain)
 
 
 @lru_cache(maxsize=10_000)

@@ -13,7 +13,7 @@ import numpy as np
 
 from geodrake.boundary.arguments import Array
 from geodrake.errors import ArgumentError, LogError, nearest
-from geodrake.logs.files.base_names import floating_meaning, numbered_axes
+from geodrake.logs.files.base_names import floating_meaning, mapped_meaning, numbered_axes
 from geodrake.logs.files.name_rules import (
     DESIRED,
     MAPPED,
@@ -628,20 +628,25 @@ def _with_targets(table: LogTable, meanings: Sequence[Meaning]) -> list[Meaning]
 def _by_mapping(table: LogTable, reading: Reading) -> Columns:
     """Assign columns by a mapping."""
     places, path, names = dict[tuple[str, str], Meaning](), table.path, table.names
-    mapping = reading.mapping or ColumnMapping({})
+    mapping, floating = reading.mapping or ColumnMapping({}), dict[str, Meaning]()
     for name, mapped in mapping:
         if name.endswith(".effort") and mapped.column == PASSIVE and PASSIVE not in names:
             places[name.removesuffix(".effort"), PASSIVE] = Meaning(PASSIVE, PASSIVE)
             continue
-        meaning = _mapped(name, mapped, table, reading)
+        if is_of_base := name in mapping.base:
+            column = mapped.among(table.counted)
+            meaning = floating[name] = mapped_meaning(name, column, mapped.unit, mapped.gain)
+        else:
+            meaning = _mapped(name, mapped, table, reading)
         if meaning.column not in names:
             raise LogError(
                 f"Log {str(path)!r} has no column {meaning.column!r}, which {mapping.source} maps "
                 f"to {name!r}; it has {listed(names)}.",
                 advice="Correct the mapping.",
             )
-        joint = meaning.joint
-        places[joint, meaning.log_quantity] = settled(path, meaning, joint, reading, {})
+        if not is_of_base:
+            joint = meaning.joint
+            places[joint, meaning.log_quantity] = settled(path, meaning, joint, reading, {})
     mapping = mapping.named(table.counted)  # raises for a column that is used twice
     if mapping.time is not None and (time := time_source(table, reading)) is not None:
         places["", "time"] = time
@@ -649,7 +654,8 @@ def _by_mapping(table: LogTable, reading: Reading) -> Columns:
         if reading.kind_of(joint) == "command":  # instead of efforts
             places.pop((joint, "effort"), None)
     rate = reading.rate or mapping.rate
-    return Columns(path, reading, places, [], rate, frozenset(mapping.joints))
+    own = frozenset(mapping.joints)
+    return Columns(path, reading, places, [], rate, own, floating=floating)
 
 
 @dataclass
@@ -729,7 +735,8 @@ class Columns:
         path, positioned = table.path, self._of_model(self.having("position"), wanted)
         efforts = self.having("effort", "command")
         driven = {*efforts, *self._without_motor(positioned)}
-        floating = [each.quantity for n in table.names if (each := floating_meaning(n))]
+        floating = [*self.floating]
+        floating += [each.quantity for n in table.names if (each := floating_meaning(n))]
         if self.reading.of_base and any(n.startswith(("base.", "imu.")) for n in floating):
             driven |= {*positioned}  # contact forces replace efforts
         undriven = [joint for joint in positioned if joint not in driven]

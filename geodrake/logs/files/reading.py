@@ -28,6 +28,7 @@ from geodrake.boundary.arguments import (
 from geodrake.boundary.yaml_schema import Schema, as_schema
 from geodrake.boundary.yaml_text import made_of_yaml
 from geodrake.errors import ArgumentError, LogError, nearest
+from geodrake.logs.files.base_names import mapped_meaning
 from geodrake.logs.files.name_rules import DESIRED, NUMBERED, OF_JOINTS, Meaning
 from geodrake.logs.files.units import unit_names, unit_of
 from geodrake.logs.motion import EFFORT_KINDS, PASSIVE, USUAL_GAIN_DEVIATION
@@ -69,6 +70,8 @@ class ColumnMapping:
     time: MappedColumn | None = None  # None if a rate is given
     rate: float | None = None  # sampling rate (Hz), if there is no time
     source: str = "the mapping"  # name of the mapping in messages
+    # Name of a quantity of a free base or its feet, as in `geodrake.logs.floating` -> column.
+    base: Mapping[str, MappedColumn] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for joint, quantities in self.joints.items():
@@ -98,15 +101,17 @@ class ColumnMapping:
             joint: {quantity: by_name(mapped) for quantity, mapped in quantities.items()}
             for joint, quantities in self.joints.items()
         }
-        return replace(self, joints=joints, time=self.time and by_name(self.time))
+        base = {name: by_name(mapped) for name, mapped in self.base.items()}
+        return replace(self, joints=joints, time=self.time and by_name(self.time), base=base)
 
     def __iter__(self) -> Iterator[tuple[str, MappedColumn]]:
-        """Yield every column with its name, `time` or `<joint>.<quantity>`."""
+        """Yield every column with its name: `time`, `<joint>.<quantity>` or one of a base."""
         if self.time is not None:
             yield "time", self.time
         for joint, quantities in self.joints.items():
             for quantity, column in quantities.items():
                 yield f"{joint}.{quantity}", column
+        yield from self.base.items()
 
 
 @dataclass(frozen=True)
@@ -284,6 +289,7 @@ class _MappingSchema(Schema):
     joints: dict[str | int, _JointSchema]
     time: _Column = None
     rate: float | None = None
+    base: dict[str, _Column] = msgspec.field(default_factory=dict)
 
 
 def mapping_of(path: Path, content: object) -> ColumnMapping:
@@ -300,8 +306,18 @@ def mapping_of(path: Path, content: object) -> ColumnMapping:
     time = None if schema.time is None else _column(schema.time, "time", "time")
     if schema.time is None and schema.rate is None:
         raise ArgumentError("it has neither `time` nor `rate`.", advice=_FORM)
-    mapping = ColumnMapping(joints, time, schema.rate, "it")  # errors here begin with the file
+    base = {name: _base_column(name, each) for name, each in schema.base.items() if each}
+    mapping = ColumnMapping(
+        joints, time, schema.rate, "it", base
+    )  # errors here begin with the file
     return replace(mapping, source=f"mapping {path}")
+
+
+def _base_column(name: str, entry: str | int | _ColumnSchema) -> MappedColumn:
+    entry = entry if isinstance(entry, _ColumnSchema) else _ColumnSchema(entry)
+    gain = number(entry.gain, f"the gain of {name!r}")
+    mapped_meaning(name, "", entry.unit, gain)  # raises for an unknown name or unit
+    return MappedColumn(entry.column, entry.unit, gain)
 
 
 def _column(entry: str | int | _ColumnSchema, quantity: str, what: str) -> MappedColumn:
@@ -385,12 +401,17 @@ def mapping_yaml(
     joints: Mapping[str, Mapping[str, MappedColumn | None]],
     time: MappedColumn | None,
     rate: float | None,
+    base: Mapping[str, MappedColumn] | None = None,
 ) -> str:
     """Return a mapping as the text of a file; the user fills in columns that are None."""
     clock = {"time": _entry(time)} if rate is None else {"rate": rate}
     content = {j: {q: _entry(column) for q, column in row.items()} for j, row in joints.items()}
+    floating = {"base": {n: _entry(column) for n, column in base.items()}} if base else {}
     text = yaml.safe_dump(
-        {**clock, "joints": content}, sort_keys=False, allow_unicode=True, width=math.inf
+        {**clock, "joints": content, **floating},
+        sort_keys=False,
+        allow_unicode=True,
+        width=math.inf,
     )
     return str(text).replace(": null\n", ":  # which column?\n")
 
