@@ -55,6 +55,7 @@ MEASURED, PREDICTED, CONTACT = "#64748b", style.AFTER, "#c026a3"  # colours of a
 LEAST_THICKNESS = 0.002  # smallest drawn semi-axis, m: a body at the boundary may be flat
 
 _SMALLEST, _LARGEST = 0.01, 1.6  # scales of arrows; one without length has no direction
+_OF_WEIGHT = 3.0  # scale of an arrow of the robot's weight
 _FLOOR_THICKNESS = 0.004  # m
 _GHOST_OPACITY, _GHOST_SIZE = 0.35, 0.99  # ghosts inside the robot are hidden
 _SIZE_STEP = 0.002  # difference in size of robots at the same place, so that they do not flicker
@@ -167,6 +168,31 @@ def draw_efforts(meshcat: Meshcat, path: str, played: PlayedModel, size: float) 
             for frame, length in enumerate(scale[:, joint].tolist()):
                 arrow = f"{folder}/{name}/arrow"
                 meshcat.SetProperty(arrow, "scale", [1.0, 1.0, length], clock(frame))
+
+
+def draw_ground(meshcat: Meshcat, path: str, found: Playback, robot: PlayedRobot) -> None:
+    """Record measured forces of the ground as arrows, and other contacts as balls.
+
+    The length of an arrow is relative to the robot's weight.
+    """
+    model, size = robot.played.model, found.extent.size
+    weight = float(model.total_phi[:, 0].sum() * np.linalg.norm(model.tree.gravity))
+    for foot in found.feet:
+        frame = foot.frame
+        folder = f"{link_path(path, body_links(model)[frame.body])}/ground {path_part(frame.name)}"
+        _draw_arrow(meshcat, f"{folder}/arrow", 0.25 * size, CONTACT)
+        meshcat.SetObject(f"{folder}/ball", Sphere(0.02 * size), _rgba(CONTACT))
+        meshcat.SetTransform(f"{folder}/ball", RigidTransform(frame.center))
+        forces = np.nan_to_num(foot.force) @ frame.rotation.T
+        norms = np.linalg.norm(forces, axis=1)
+        for k, (force, norm) in enumerate(zip(forces, norms.tolist(), strict=True)):
+            axis = force / norm if norm > 0.0 else np.array([0.0, 0.0, 1.0])
+            X = RigidTransform(RotationMatrix.MakeFromOneVector(axis, 2), frame.origin)
+            arrow, length = f"{folder}/arrow", max(_SMALLEST, _OF_WEIGHT * norm / weight)
+            meshcat.SetTransform(arrow, X, clock(k))
+            meshcat.SetProperty(arrow, "scale", [1.0, 1.0, length], clock(k))
+            meshcat.SetProperty(arrow, "visible", norm > _SMALLEST * weight, clock(k))
+            meshcat.SetProperty(f"{folder}/ball", "visible", bool(foot.touches[k]), clock(k))
 
 
 def draw_effects(
@@ -287,7 +313,7 @@ def _replay(
                 meshcat, path, links, dict(enumerate(times.tolist())), color=colors.get(name)
             )
             meshcat.SetProperty(path, "scale", [1.0 - _SIZE_STEP * k] * 3)
-    draw_floor(meshcat, "ground", extent, np.zeros(3))
+    draw_floor(meshcat, "ground", extent, extent.floor)
     meshcat.SetCameraPose(*camera_place(extent))
     page = str(meshcat.StaticHtml())
     return legend(page, [("#c78a1e", note) for note in shapes.notes]) if shapes.notes else page
@@ -339,6 +365,7 @@ def play_page(found: Playback, *, title: str, log_names: Sequence[str], speed: f
             measured=MEASURED,
             predicted=style.AFTER,
             ghosts=any(map(_has_ghost, found.models)),
+            ground=CONTACT if found.feet else "",
             # Escaped for a script element.
             data=json.dumps(_data(found, marks, speed)).replace("<", "\\u003c"),
         )
@@ -367,8 +394,9 @@ def _draw(
     played, path = robot.played, _path(robot.played, k)
     times = {frame: clock(frame) for frame in range(len(found.q))}
     draw_robot(meshcat, path, robot.links, times)
-    draw_floor(meshcat, path, found.extent, robot.place)
+    draw_floor(meshcat, path, found.extent, found.extent.floor + robot.place)
     draw_efforts(meshcat, path, played, found.extent.size)
+    draw_ground(meshcat, path, found, robot)
     if _has_ghost(played):
         ghost, visible = f"ghost/{k}", np.asarray(np.isfinite(played.simulated).all(1))
         q = played.model.positions(np.where(visible[:, None], played.simulated, found.q))

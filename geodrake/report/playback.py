@@ -20,7 +20,9 @@ from geodrake.identification.logs.case import Case, prepare_case
 from geodrake.identification.logs.compare import comparison
 from geodrake.identification.logs.model_errors import Comparison
 from geodrake.inertia import Array
+from geodrake.logs.floating import FORCE, frames_of, vectors
 from geodrake.logs.motion import JointLog
+from geodrake.model.ground_contacts import ContactFrame, contact_frames
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.explaining import comparison_page
 from geodrake.report.numbers import Units, number, percent
@@ -59,6 +61,15 @@ class Excerpt:
     began: float  # the log's first time stamp, s
     time: Array  # (F,) times of the frames in the log, s
     q: Array  # (F, nv) positions by joint, rad or m
+
+
+@dataclass(frozen=True, eq=False)
+class PlayedFoot:
+    """What the ground does at a link in every frame."""
+
+    frame: ContactFrame
+    force: Array  # (F, 3) measured force of the ground, in the link's axes, N; NaN if none
+    touches: NDArray[np.bool_]  # (F,) whether it may touch the ground without a measured force
 
 
 @dataclass(frozen=True)
@@ -114,6 +125,7 @@ class Playback:
     excerpts: tuple[Excerpt, ...]  # in the order of play
     models: tuple[PlayedModel, ...]  # one model, or those before and after
     seconds_left_out: float  # length of the unplayed parts, s
+    feet: tuple[PlayedFoot, ...] = ()  # of a robot with a free base
 
     @property
     def q(self) -> Array:
@@ -245,7 +257,30 @@ def play_back(
         _played(title, each, compared[title], excerpts, _ghost(each, excerpts, ghost, progress))
         for title, each in cases.items()
     )
-    return Playback(model.joints, excerpts, models, left_out)
+    return Playback(model.joints, excerpts, models, left_out, _feet(case, excerpts))
+
+
+def _feet(case: Case, excerpts: Sequence[Excerpt]) -> tuple[PlayedFoot, ...]:
+    """Return the forces and contacts of all links that have either in a log."""
+    logs = {log.name: log for log in case.options.logs}
+    flags = {t.name: t.contacts for t in case.trajectories if t.contacts is not None}
+    names = [name for each in flags.values() for name in each.frames]
+    names += [name for log in logs.values() for name in frames_of(log.floating, FORCE)]
+    found = list[PlayedFoot]()
+    for frame in contact_frames(case.model, [*dict.fromkeys(names)]):
+        forces, touches = list[Array](), list[NDArray[np.bool_]]()
+        for e in excerpts:
+            log, contacts = logs[e.log], flags.get(e.log)
+            force = vectors(log.floating, f"{frame.name}.force")
+            columns = np.full((3, 1), np.nan) if force is None else force.T
+            time = log.time[: columns.shape[1]]
+            forces.append(np.stack([np.interp(e.time, time, x) for x in columns], 1))
+            is_known = contacts is not None and frame.name in contacts.frames
+            touches.append(np.zeros(len(e.time), bool))
+            if contacts is not None and is_known:
+                touches[-1] = contacts.at(e.time)[:, contacts.frames.index(frame.name)]
+        found.append(PlayedFoot(frame, np.concatenate(forces), np.concatenate(touches)))
+    return tuple(found)
 
 
 def _instants(excerpts: Sequence[Excerpt]) -> list[tuple[str, float]]:

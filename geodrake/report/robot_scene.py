@@ -229,15 +229,19 @@ class Extent:
     low: Array  # (3,) smallest coordinates of its links' origins in the world, m
     high: Array  # (3,) largest coordinates
     size: float  # largest side in any one posture, with a margin for links, m
+    floor: Array  # (3,) middle of the floor, m: at the world's origin, or below a free base
 
     @classmethod
     def of(cls, model: RobotModel, q: Array) -> Extent:
         """Return the extent of a motion, positions (N, nq) of the model."""
         links = posed_links(model, q[:: max(1, len(q) // 60)], RobotShapes({}))
         origins = np.array([[X.translation() for X in link.X_WB] for link in links])
-        points = np.concatenate([np.zeros((1, *origins.shape[1:])), origins])
-        size = 1.15 * float(np.ptp(points, axis=0).max()) + 0.1
-        return cls(points.min((0, 1)), points.max((0, 1)), size)
+        if not model.base_joints:
+            origins = np.concatenate([np.zeros((1, *origins.shape[1:])), origins])
+        size = 1.15 * float(np.ptp(origins, axis=0).max()) + 0.1
+        low, high = origins.min((0, 1)), origins.max((0, 1))
+        middle = np.array([*0.5 * (low + high)[:2], low[2]])
+        return cls(low, high, size, middle if model.base_joints else np.zeros(3))
 
     @property
     def beside(self) -> Array:

@@ -10,6 +10,7 @@ import pytest
 import yaml
 from foreign_logs import EPOCH, joint_states, nanoseconds, ros2_header, ros2_store, write_rosbag2
 from free_robots import FreeRobot, MuJoCoRobot
+from meshcat_pages import tracks
 from quadruped import FEET, JOINTS, LEGS, joint_text, link_text, quadruped
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
@@ -35,6 +36,8 @@ from geodrake.model import Given, load_description
 from geodrake.model.base_motion import with_base
 from geodrake.model.ground_contacts import contact_frames, contact_jacobians, on_soles
 from geodrake.model.logged_joints import log_of_model, reading_for
+from geodrake.report.meshcat_scene import play_page
+from geodrake.report.playback import play_back
 from geodrake.robot import inverse_dynamics_regressor
 from geodrake.robot.shapes import collision_balls
 
@@ -826,6 +829,26 @@ def test_commands_read_the_columns_of_a_free_base(tmp_path, monkeypatch, maker, 
     assert found.exit_code == 0, found.output
     assert "have no measurements" not in found.output
     assert command == "log" or (tmp_path / "page.html").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("wrenches", [True, False])
+def test_forces_and_contacts_of_feet_are_played(model, maker, wrenches):
+    played = play_back(model, [maker.log(wrenches=wrenches)], seconds=1.0)
+    assert [foot.frame.name for foot in played.feet] == list(FEET)
+    recorded = tracks(play_page(played, title="dog", log_names=["log"]))
+    for k, foot in enumerate(played.feet):
+        assert foot.touches.all() != wrenches
+        (path,) = {path for path, _ in recorded if path.endswith(f"ground {FEET[k]}/arrow")}
+        frames, scales = recorded[path, "scale"]
+        if not wrenches:
+            assert np.isnan(foot.force).all() and not any(recorded[path, "visible"][1])
+            continue
+        time = played.excerpts[0].time
+        force = np.stack([np.interp(time, maker.time, x) for x in maker.forces[:, k].T], 1)
+        np.testing.assert_allclose(foot.force, force, atol=1e-9)
+        shares = np.linalg.norm(force, axis=1) / (9.81 * model.total_phi[:, 0].sum())
+        assert len(frames) == len(time)
+        np.testing.assert_allclose(np.array(scales)[:, 2], 3.0 * shares, rtol=1e-6)
 
 
 def test_mappings_name_the_columns_of_a_base_and_its_feet(tmp_path, monkeypatch, maker):
