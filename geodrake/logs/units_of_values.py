@@ -399,7 +399,7 @@ def check_ticks(log: JointLog) -> None:
 def effort_hint(log: JointLog) -> str | None:
     """Return a hint if efforts look like magnitudes or counts of currents; else None.
 
-    Magnitudes return to zero while the joint turns both ways.
+    Magnitudes return to zero while the joint turns both ways, and those of no joint are negative.
     """
     peaks = dict(zip(log.joints, peaks_of(log.motor_effort).tolist(), strict=True))
     large = [j for j, kind in log.effort_kinds.items() if kind == "current"]
@@ -418,8 +418,10 @@ def effort_hint(log: JointLog) -> str | None:
     names = []
     for name, q, tau in zip(log.joints, position.T, effort.T, strict=True):
         largest, kind = float(tau.max()), log.effort_kinds.get(name)
-        if kind in ("passive", "ground", "unmeasured") or tau.min() < 0.0 or not largest:
+        if kind in ("passive", "ground", "unmeasured") or not largest:
             continue
+        if tau.min() < 0.0:
+            return None
         low = tau < _NEAR_ZERO * largest
         turns = np.diff(np.sign(np.diff(q[:: len(q) // _LOOKS + 1])))
         touches = np.count_nonzero(low[1:] & ~low[:-1])

@@ -18,7 +18,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.multibody.plant import MultibodyPlant
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, lsq_linear
 from scipy.spatial.transform import Rotation
 
 from geodrake.compiling import compiled, contiguous
@@ -31,6 +31,7 @@ from geodrake.logs.motion import JointLog, Motion
 from geodrake.model.contact_probability import HIGHEST, signs_of, smooth_rates, touching_probability
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.joints import joints_of
+from geodrake.robot.regressor import inverse_dynamics_regressor
 from geodrake.robot.shapes import collision_balls
 
 _POINTS = 3  # fewest point feet on which a robot can stand
@@ -49,6 +50,7 @@ _FEW = 5000  # samples whose forces are compared with the weight
 _FEW_POSES = 200
 _MISPLACED = 0.015  # error from which forces may belong to other feet, as a share of the weight
 _TOGETHER = 32  # samples per mean, to reduce noise
+_MOST_LOAD, _LEAST_LOAD = 0.5, 0.4  # of the mass, added; and missing, relative to that
 _FITS = 0.15  # largest error of correctly interpreted forces, as a share of the weight
 _ALIKE = 1.5  # a simpler interpretation may have this many times the least error
 _ARM = 0.1  # m, smallest lever arm of forces
@@ -367,8 +369,12 @@ def _with_wrenches(log: JointLog, model: RobotModel, names: Sequence[str]) -> Jo
         J[:, k], wrenches[:, k], turns[:, k] = J_L[few][:, :, is_base], wrench[few], R_WL[few]
     if bare:
         notes.append(f"no moments at {', '.join(bare)}: taken as zero, although soles carry them")
-    needed = model.effort(Motion(bodies.q[few], v[few], vd[few]))[:, is_base]
-    notes += _check_wrenches(log, model, names, (J, wrenches, turns, needed))
+    motion_few = bodies.q[few], v[few], vd[few]
+    needed = model.effort(Motion(*motion_few))[:, is_base]
+    regressor = inverse_dynamics_regressor(model.tree, *motion_few)[:, is_base]
+    root = next(each.body for each in model.tree.mobilizers if each.body >= 0)
+    load = regressor[..., 10 * root : 10 * root + 4]  # its mass and first moments
+    notes += _check_wrenches(log, model, names, (J, wrenches, turns, needed, load))
     if low := _low_links(log, model, names):
         notes.append(f"no forces at {', '.join(low)}, near the ground: their load is missing")
     notes.append(
@@ -390,19 +396,20 @@ def _check_wrenches(
     log: JointLog,
     model: RobotModel,
     names: Sequence[str],
-    seen: tuple[Array, Array, Array, Array],
+    seen: tuple[Array, Array, Array, Array, Array],
 ) -> tuple[str, ...]:
     """Raise for wrenches that carry the robot only in another interpretation.
 
-    Forces that carry nothing are refused, too. A note reports those that carry much less or more
-    than the robot's weight.
+    The robot may carry an unknown load. Forces that carry nothing are refused, too. A note reports
+    those that carry much less or more than the robot's weight.
 
     Args:
         seen: Base Jacobians (S, F, 6, 6) of F links in S samples, their wrenches (S, F, 2, 3), R_WL
-            (S, F, 3, 3), and the required efforts of the base (S, 6).
+            (S, F, 3, 3), the required efforts of the base (S, 6), and those (S, 6, 4) for the mass
+            and first moments of a load.
     """
     is_known = np.isfinite(seen[1]).all(axis=(1, 2, 3))
-    J, wrenches, turns, needed = (each[is_known] for each in seen)
+    J, wrenches, turns, needed, load = (each[is_known] for each in seen)
     size = float(model.total_phi[:, 0].sum() * np.linalg.norm(model.tree.gravity))
     if not len(J) or not size:
         return ()
@@ -412,15 +419,29 @@ def _check_wrenches(
 
     def means(efforts: Array) -> Array:
         sums = np.add.reduceat(efforts, starts, axis=0)
-        return np.asarray(sums / np.diff(np.append(starts, len(J)))[:, None])
+        return np.asarray((sums.T / np.diff(np.append(starts, len(J)))).T)
 
     def carried(turns: Array, wrenches: Array, J: Array = J) -> Array:
         """Return mean efforts (B, 6) of wrenches in axes with the rotations `turns` to W."""
         in_world = np.einsum("sfij,sfaj->sfai", turns, wrenches).reshape(*J.shape[:2], 6)
         return means(np.einsum("sfij,sfi->sj", J, in_world))
 
+    def missing(efforts: Array) -> Array:
+        return np.asarray((efforts - means(needed)) / scales)
+
+    def size_of(errors: Array) -> float:
+        return float(np.median(np.linalg.norm(errors, axis=1)))
+
+    gravity = float(np.linalg.norm(model.tree.gravity))
+    most = size / gravity * np.array([_MOST_LOAD, *[_MOST_LOAD * arm] * 3])
+    columns = means(load) * most / scales[:, None]
+
     def error_of(efforts: Array) -> float:
-        return float(np.median(np.linalg.norm((efforts - means(needed)) / scales, axis=1)))
+        """Return the error beside the load that lowers it most."""
+        errors = missing(efforts)
+        bounds = [-_LEAST_LOAD, -1.0, -1.0, -1.0], np.ones(4)
+        found = lsq_linear(columns.reshape(-1, 4), errors.ravel(), bounds).x
+        return size_of(errors - columns @ found)
 
     count, against = len(names), "as forces of the robot on the ground"
     of_each = [  # [i][k]: the wrench in the columns of link i acts at link k
@@ -450,11 +471,13 @@ def _check_wrenches(
     if error > wrong and least < min(_FITS, (0.5 if is_moved else 0.3) * error):
         raise LogError(
             f"Forces at the feet in log {log.name!r} differ by {error:.0%} of the weight from what "
-            f"carries the robot in link axes, but only by {least:.0%} {best}.",
+            "carries the robot with any load in link axes, but only by "
+            f"{least:.0%} {best}.",
             advice="Log forces of the ground on the robot, in the axes of the link in their name.",
         )
-    words = f"forces at the feet differ by {error:.0%} of the weight from what carries the robot"
-    doubts = (words,) if error > _UNLIKE else ()
+    whole = size_of(missing(in_links))
+    words = f"forces at the feet differ by {whole:.0%} of the weight from what carries the robot"
+    doubts = (words,) if whole > _UNLIKE else ()
     share = float(in_links[:, :3].mean(axis=0) @ upwards_all) / size**2
     words = f"forces at the feet carry {round(100.0 * share)}% of the weight on average"
     if abs(share) < _NOTHING:

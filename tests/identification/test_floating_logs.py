@@ -57,7 +57,9 @@ def waves(time: np.ndarray, sizes: np.ndarray, rng: np.random.Generator) -> np.n
 class Maker:
     """Motion, efforts and forces at the feet of a quadruped that may carry something."""
 
-    def __init__(self, payload: float = 0.0, seed: int = 0, place: str = "0.1 0.02 0.1") -> None:
+    def __init__(
+        self, payload: float = 0.0, seed: int = 0, place: str = "0.1 0.02 0.1", slope: float = 0.0
+    ) -> None:
         rng, text = np.random.default_rng(seed), quadruped()
         if payload:
             load = link_text("load", payload, (0.1, 0.1, 0.1))
@@ -72,7 +74,9 @@ class Maker:
         self.angles = waves(self.time, np.array([0.12, 0.15, 0.12]), rng)  # yaw, pitch, roll
         self.joints = waves(self.time, np.full(12, 0.3), rng)
         self.joints[0] += np.tile([0.0, 0.6, -1.2], 4)
-        self._solve(FreeRobot(text, JOINTS))
+        dog = FreeRobot(text, JOINTS)
+        dog.model.gravity.linear = 9.81 * np.array([np.sin(slope), 0.0, -np.cos(slope)])
+        self._solve(dog)
 
     def _solve(self, dog: FreeRobot) -> None:
         h, (angles, rates, accelerations) = 1e-5, self.angles
@@ -734,6 +738,38 @@ def test_what_says_no_way_up_is_refused(model, maker):
         bare = {n: x for n, x in log.floating.items() if "orientation" not in n}
         with pytest.raises(LogError, match=words):
             with_base(replace(log, floating=bare), model)
+
+
+@pytest.mark.parametrize("wrenches", [True, False])
+def test_a_slope_to_which_the_world_is_parallel_is_a_tilt(model, wrenches):
+    """Without an IMU, only the forces show where gravity points."""
+    log = Maker(slope=0.07).log(wrenches=wrenches, noise=1.0)
+    kept = {name: x for name, x in log.floating.items() if not name.startswith("imu.")}
+    (step,) = explain(model, [replace(log, floating=kept)]).steps
+    assert step.effect == "gravity_tilt"
+    ((_, found),) = step.parameters.items()
+    assert [found["tilt_x"], found["tilt_y"]] == pytest.approx([0.0, 0.07], abs=3e-3)
+
+
+@pytest.mark.parametrize(("payload", "place"), [(2.0, "-0.2 0.1 0.05"), (5.0, "0.1 0.02 0.1")])
+def test_forces_in_other_axes_are_refused_beside_heavy_loads(model, payload, place):
+    """Up to a third of the robot's mass is missing in the model."""
+    heavy = Maker(payload, place=place)
+    log = heavy.log(wrenches=True, noise=1.0)
+    assert with_base(log, model).ground is not None
+
+    def with_forces(forces: np.ndarray) -> JointLog:
+        names = [f"{foot}.force.{axis}" for foot in FEET for axis in "xyz"]
+        columns = forces.reshape(len(log), -1).T
+        return replace(log, floating=log.floating | dict(zip(names, columns, strict=True)))
+
+    for forces, words in (
+        (heavy.world_forces, "in world axes"),
+        (-heavy.forces, "in link axes as forces of the robot"),
+        (heavy.forces[:, [1, 0, 2, 3]], "those of fl_foot are of fr_foot"),
+    ):
+        with pytest.raises(LogError, match=words):
+            with_base(with_forces(forces), model)
 
 
 def test_forces_in_other_axes_are_refused(model, maker):

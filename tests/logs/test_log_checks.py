@@ -25,6 +25,16 @@ LOGS = (ROOT / "geodrake" / "demo" / "demo.csv", *sorted(DATA.glob("*.csv")))
 SERVOS = sorted((DATA / "so101").glob("*.state_motor.csv"))
 
 
+def test_a_joint_that_only_pushes_has_no_magnitudes_beside_one_with_both_signs():
+    time = np.arange(0.0, 10.0, 0.01)
+    position = np.sin(2.0 * time[:, None] * [1.0, 1.3])
+    lifted = np.maximum(np.sin(3.0 * time), 0.0)
+    log = JointLog("legs", ("hip", "knee"), time, position, np.stack([lifted, lifted], 1))
+    assert "hip, knee are never negative" in effort_hint(log)
+    signed = np.stack([lifted, np.sin(3.0 * time)], 1)
+    assert effort_hint(replace(log, effort=signed)) is None
+
+
 def swing(*, seconds=20.0, rate=200.0, velocity=True, seed=0):
     """Return a log of two joints that swing, with noise of encoders and efforts."""
     rng = np.random.default_rng(seed)
