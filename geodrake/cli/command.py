@@ -79,6 +79,7 @@ class Input:
     extra: tuple[type[Effect], ...]  # user-defined effects
     settings: Mapping[str, Any]  # of log preparation: bandwidth and, for validation, blocks
     progress: Activity  # called with the current activity and its completed share
+    unread: tuple[str, ...] = ()  # logs that cannot be read, in sentences
 
 
 def _write(result: object, contents: Mapping[Path, Content]) -> Sequence[Path]:
@@ -136,7 +137,8 @@ def _run(command: Command[R], options: Any) -> R:
         numbers = to_json({**header, **view.numbers(result), **column_numbers})
         page = view.page(result, _about(command, options, fitted, given.extra))
         mistakes = Section("Check first: the columns of the logs", items=tuple(messages))
-        page = replace(page, first=(mistakes, *page.first))
+        unread = Section("Check first: logs that are left out", items=given.unread)
+        page = replace(page, first=(unread, mistakes, *page.first))
         makers: dict[str, Callable[[Path], Content | None]] = {
             "json": lambda path: numbers,
             "report": lambda path: _html(page, fitted),
@@ -296,7 +298,7 @@ def _read(
         return Input(cast("RobotModel", None), (), extra, settings, update)
     model = read_model(options.model, options, update, extra)
     check_outputs(outputs, options, [model.path])  # the base file of a saved model
-    logs: tuple[JointLog, ...] = ()
+    logs, unread = tuple[JointLog, ...](), list[str]()
     files = getattr(options, "logs", None)
     if command.reads_logs and files:
         update("Reading the logs")
@@ -315,7 +317,7 @@ def _read(
         )
     else:
         command.check(model)
-    return Input(model, logs, extra, settings, update)
+    return Input(model, logs, extra, settings, update, tuple(unread))
 
 
 def readable(

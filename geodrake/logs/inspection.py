@@ -18,7 +18,7 @@ from geodrake.logs.files.column_mapping import Columns
 from geodrake.logs.files.name_rules import Meaning
 from geodrake.logs.files.reading import MappedColumn, mapping_of, mapping_yaml
 from geodrake.logs.files.units import unit_of
-from geodrake.logs.log_checks import check_commands
+from geodrake.logs.log_checks import check_commands, constant_efforts, constant_notes
 from geodrake.logs.motion import PASSIVE, JointLog
 from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.sensor_faults import without_faults
@@ -99,7 +99,8 @@ def inspect_log(
     missing = [joint for joint in joints or () if joint not in (*log.joints, *log.standing)]
     notes = [f"the model's {', '.join(missing)} have no measurements"] if missing else []
     time = columns.sources.get("time")
-    hints = position_unit_hint(log), effort_hint(log), *log.assumed, unused
+    hints = [position_unit_hint(log), effort_hint(log), *constant_notes(constant_efforts(log))]
+    hints += [*log.assumed, unused]
     first = tuple(filter(None, hints))
     return LogInspection(
         log,

@@ -1,8 +1,9 @@
-"""Checks of logs: uninformative commands, saturated efforts, and duplicate logs."""
+"""Checks of logs: uninformative commands, saturated or constant efforts, and duplicate logs."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import Array
 from geodrake.errors import ArgumentError, LogError
-from geodrake.logs.motion import JointLog
+from geodrake.logs.motion import NOT_MEASURED, JointLog
 
 _STILL = 2e-3  # rad or m, largest range of a joint at rest
 _SAME = 1e-6  # of a joint's range: rounding error of a copy of its positions
@@ -150,6 +151,36 @@ def _is_coarse(effort: Array) -> bool:
     ratios = steps / steps.min()
     is_rounded = np.all(np.abs(ratios - np.rint(ratios)) < _EVEN)
     return bool(is_rounded and np.abs(levels).max() < _STEPS * steps.min())
+
+
+_MOST_ALIKE = 0.95  # share of equal efforts, beyond which they are constant
+_LEAST_EFFORT = 1e-12  # least variation of a measured effort, N·m or N
+
+
+def constant_efforts(log: JointLog) -> dict[str, str]:
+    """Return joints with motors whose measured efforts are constant, with value and share."""
+    known = np.isfinite(log.effort)
+    measured = np.where(known, log.effort, np.nan)
+    usual = np.nanmedian(np.where(known.any(axis=0), measured, 0.0), axis=0)
+    alike = np.abs(log.effort - usual) <= np.maximum(1e-9 * np.abs(usual), _LEAST_EFFORT)
+    shares = np.sum(alike, axis=0, where=known) / np.maximum(known.sum(axis=0), 1)
+    return {
+        joint: f"{value:.3g} in {100 * share:.3g} %"
+        for joint, value, share in zip(log.joints, usual.tolist(), shares.tolist(), strict=True)
+        if share >= _MOST_ALIKE and log.effort_kinds.get(joint) not in NOT_MEASURED
+    }
+
+
+def constant_notes(constant: Mapping[str, str]) -> list[str]:
+    """Return what the constant efforts of joints mean, in words."""
+    joints = defaultdict[str, list[str]](list)
+    for joint, values in constant.items():
+        joints[values].append(joint)
+    return [
+        f"the effort of {', '.join(own)} is {values} of the rows, so it is not used; without a "
+        f"motor, use --passive {own[0]}"
+        for values, own in joints.items()
+    ]
 
 
 _TOGETHER = 8  # successive rows, which two logs do not share by chance

@@ -52,6 +52,9 @@ GROUND = "ground"
 UNMEASURED = "unmeasured"
 """Kind of the efforts of a joint with a motor that are not measured, or constant."""
 
+NOT_MEASURED = (PASSIVE, GROUND, UNMEASURED)
+"""Kinds of efforts that no sensor measures."""
+
 EFFORT_KINDS = ("effort", *SIGNAL_KINDS, PASSIVE)
 """Kinds of efforts: N·m or N, A, V, a fraction of the supply voltage, or none."""
 

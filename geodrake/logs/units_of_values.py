@@ -16,7 +16,7 @@ from geodrake.logs.files.column_mapping import Columns
 from geodrake.logs.files.name_rules import MOTOR, Meaning
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.units import Unit, unit_of
-from geodrake.logs.motion import JointLog
+from geodrake.logs.motion import NOT_MEASURED, JointLog
 from geodrake.logs.resting import LARGEST
 
 TICKS = 4096  # per turn, of servos with twelve bits
@@ -418,7 +418,7 @@ def effort_hint(log: JointLog) -> str | None:
     names = []
     for name, q, tau in zip(log.joints, position.T, effort.T, strict=True):
         largest, kind = float(tau.max()), log.effort_kinds.get(name)
-        if kind in ("passive", "ground", "unmeasured") or not largest:
+        if kind in NOT_MEASURED or not largest:
             continue
         if tau.min() < 0.0:
             return None

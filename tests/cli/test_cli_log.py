@@ -259,12 +259,21 @@ def test_logs_that_cannot_be_used_are_left_out_and_named(tmp_path):
     bad.write_text("time,shoulder.position\n0,x\n")
     said = told("compare", PENDULUM, good, short, bad, "--quiet")
     assert "short is not used" in said and "bad.csv is not used" in said
+    assert said.index("bad.csv is not used") < said.index("Verdict")
     refused("compare", PENDULUM, short, bad)
     empty = write(tmp_path / "empty.csv", OWN, table()[:0])
     for given in ((), ("--model", PENDULUM)):
         told("log", good, empty, *given, "--json", "x.json")
         (note,) = json.loads(Path("x.json").read_text())["notes"]
         assert note.startswith("empty.csv is not used: Log ") and "has 0 rows" in note
+
+
+def test_constant_efforts_are_said_first(tmp_path):
+    rows = table()
+    rows[:, 4] = 1.5
+    said = told("log", write(tmp_path / "log.csv", OWN, rows))
+    words = "the effort of elbow is 1.5 in 100 % of the rows, so it is not used"
+    assert said.index(words) < said.index("Ranges in SI units")
 
 
 def test_an_effect_to_add_names_its_place():

@@ -30,8 +30,14 @@ from geodrake.identification.logs.signal_calibration import calibrate_efforts
 from geodrake.identification.logs.unknowns import Unknowns
 from geodrake.logs.files import read_log
 from geodrake.logs.folds import Fold, share_motion, validation_blocks
-from geodrake.logs.log_checks import check_commands, check_repeated, check_saturation
-from geodrake.logs.motion import GROUND, PASSIVE, UNMEASURED, JointLog, Trajectory
+from geodrake.logs.log_checks import (
+    check_commands,
+    check_repeated,
+    check_saturation,
+    constant_efforts,
+    constant_notes,
+)
+from geodrake.logs.motion import NOT_MEASURED, UNMEASURED, JointLog, Trajectory
 from geodrake.logs.preparation import motion_bandwidth_of, prepare_logs
 from geodrake.logs.smoothing import Segment
 from geodrake.logs.uniform_log import make_uniform
@@ -52,8 +58,6 @@ Logs = Sequence[JointLog | str | Path]
 T = TypeVar("T")
 
 _OTHER_SCALE = 0.1  # |log| of a time scale from which on time stamps are suspect
-_MOST_ALIKE = 0.95  # share of equal efforts, beyond which they are constant
-_LEAST_EFFORT = 1e-12  # least variation of a measured effort, N·m or N
 
 
 @dataclass(frozen=True, eq=False)
@@ -435,31 +439,17 @@ def _without_constant_efforts(logs: Sequence[JointLog]) -> tuple[list[JointLog],
     """
     varying, notes = list[JointLog](), list[str]()
     for log in logs:
-        known = np.isfinite(log.effort)
-        measured = np.where(known, log.effort, np.nan)
-        usual = np.nanmedian(np.where(known.any(axis=0), measured, 0.0), axis=0)
-        alike = np.abs(log.effort - usual) <= np.maximum(1e-9 * np.abs(usual), _LEAST_EFFORT)
-        shares = np.sum(alike, axis=0, where=known) / np.maximum(known.sum(axis=0), 1)
-        constant = shares >= _MOST_ALIKE
-        kinds = PASSIVE, GROUND, UNMEASURED
-        silent = np.array([log.effort_kinds.get(joint) in kinds for joint in log.joints])
-        constant &= ~silent
-        joints = [joint for joint, c in zip(log.joints, constant, strict=True) if c]
-        if joints and (constant | silent).all():
+        constant, kinds = constant_efforts(log), log.effort_kinds
+        if constant and all(j in constant or kinds.get(j) in NOT_MEASURED for j in log.joints):
             raise LogError(
-                f"The effort of {', '.join(joints)} is constant in log {log.name!r}.",
+                f"The effort of {', '.join(constant)} is constant in log {log.name!r}.",
                 advice="Check what is logged. If a joint is fixed, use --lock JOINT=POSITION; if "
-                f"it has no motor, --passive {joints[0]}.",
-                joints=joints,
+                f"it has no motor, --passive {next(iter(constant))}.",
+                joints=[*constant],
             )
-        notes += [
-            f"{log.name}: the effort of {joint} is {usual[j]:.3g} in {100 * shares[j]:.3g} % of "
-            f"the rows, so it is not used; if the joint has no motor, use --passive {joint}"
-            for j, joint in enumerate(log.joints)
-            if constant[j]
-        ]
-        unmeasured = {**log.effort_kinds, **dict.fromkeys(joints, UNMEASURED)}
-        varying.append(replace(log, effort_kinds=unmeasured) if joints else log)
+        notes += [f"{log.name}: {words}" for words in constant_notes(constant)]
+        unmeasured = {**log.effort_kinds, **dict.fromkeys(constant, UNMEASURED)}
+        varying.append(replace(log, effort_kinds=unmeasured) if constant else log)
     return varying, notes
 
 
