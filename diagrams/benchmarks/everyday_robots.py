@@ -9,7 +9,8 @@ is white or coloured. Reported is how much of this is named, and what else is.
     python -m diagrams.benchmarks.everyday_robots --draws 45 --json everyday.json
 
 With `--spoiled`, each robot's logs have one to three faults of recording, such as lost rows, held
-or filtered efforts, spikes and few digits.
+or filtered efforts, spikes and few digits. With `--unusual`, each robot has an unusual effect
+beside, such as a spring, ripple, backlash or a pair of coupled rotors.
 """
 
 from __future__ import annotations
@@ -50,13 +51,27 @@ from diagrams.benchmarks.simulated.scoring import (
     share,
     tell_draws,
 )
-from diagrams.benchmarks.simulated.truths import DRY, HELD, LATE, OFFSET, ROTOR, WET, Seen
+from diagrams.benchmarks.simulated.truths import (
+    DRY,
+    HELD,
+    LATE,
+    OFFSET,
+    ROTOR,
+    TRUTHS,
+    WET,
+    WRONG_INERTIA,
+    Seen,
+    Site,
+    scaled,
+)
 from diagrams.harness import positive_number, run_draws, script_parser
 from geodrake.logs import JointLog
 
 ARMS = ("ur3", "ur10", "panda", "so101", "baxter", "tiago", "kinova", "ur5", "z1")
 _PARTS = {"baxter": "left_", "tiago": "arm_"}  # how joints are called that are not held
 _THIN = ("tiago",)  # whose bodies MuJoCo refuses
+# Asymmetric friction is friction with an offset; gains need a known inertia.
+_USUAL = (DRY, WET, ROTOR, OFFSET, HELD, LATE, "asymmetric_friction", "effort_scale")
 _RATES = (50.0, 100.0, 125.0, 250.0, 500.0)
 
 
@@ -69,6 +84,7 @@ class Draw:
     seed: int
     duration: float | None = None  # s; drawn if None
     is_spoiled: bool = False  # whether logs have faults
+    unusual: str = ""  # name of an effect beside the usual ones
 
 
 @cache
@@ -89,6 +105,7 @@ def make_recording(draw: Draw) -> tuple[Recording, dict[str, Any]]:
     known = np.asarray(model.effort_limits)
     limits = np.where(np.isfinite(known) & (known > 0.0), known, 50.0)
     off, rate = float(rng.choice((0.0, 0.0, 0.15, 0.3))), float(rng.choice(_RATES))
+    off *= draw.unusual != WRONG_INERTIA  # where every body is wrong, none is more so
     bodies = congruent(engine.bodies(), off, rng) if off else engine.bodies()
     mass = 0.0
     if rng.random() >= 0.5:
@@ -113,11 +130,56 @@ def make_recording(draw: Draw) -> tuple[Recording, dict[str, Any]]:
     for seen in motions:
         effort = seen.load + dry * np.tanh(seen.v / breakaway) + wet * seen.v
         effort += rotors * seen.a + offsets
-        efforts.append(np.concatenate([effort[:1]] * late + [effort[: len(effort) - late]]))
+        efforts.append(effort)
+    hidden, beside, share = _with_unusual(draw, motions, efforts, hidden, model.bodies)
+    efforts = [np.concatenate([e[:1]] * late + [e[: len(e) - late]]) for e in efforts]
     logs, noise = _measured(kinds, motions, efforts, (rate, limits), rng)
-    recording = Recording(logs, hidden, {LATE: engine.joints} if late else {}, mass)
-    drawn = {"off": off, "rate": rate, "kinds": kinds, "noise": noise, "late": late / FINE}
+    beside |= {LATE: engine.joints} if late else {}
+    recording = Recording(logs, hidden, beside, mass)
+    drawn = {
+        "off": off,
+        "share": share,
+        "rate": rate,
+        "kinds": kinds,
+        "noise": noise,
+        "late": late / FINE,
+    }
     return (_spoiled(recording, draw, limits, drawn) if draw.is_spoiled else recording), drawn
+
+
+def _with_unusual(
+    draw: Draw,
+    motions: Sequence[Seen],
+    efforts: list[Array],
+    hidden: dict[str, tuple[str, ...]],
+    bodies: tuple[str, ...],
+) -> tuple[dict[str, tuple[str, ...]], dict[str, tuple[str, ...]], float]:
+    """Add an unusual effect to efforts; return what is hidden, what is right beside, and its share.
+
+    The share of the deviation of loads is random, from 5 to 20 %.
+    """
+    if not draw.unusual:
+        return hidden, {}, 0.0
+    truth, engine = TRUTHS[draw.unusual], motions[0].engine
+    seeds = np.random.SeedSequence([draw.seed, draw.number, len(TRUTHS)]).spawn(2)
+    rng, numbers = map(np.random.default_rng, seeds)
+    joint, other = truth.placed(int(rng.integers(len(engine.joints))), motions[0].load, rng)
+    site = Site(joint, other, numbers)
+    deviation = np.concatenate([seen.load for seen in motions]).std(0)
+    deviation = np.maximum(deviation, 0.1 * deviation.max())
+    share = float(between((0.05, 0.2), rng))
+
+    def reached(size: float) -> float:
+        law = np.concatenate([truth.law(seen, site, size) for seen in motions])
+        return float(np.max(np.sqrt(np.mean(law**2, 0)) / deviation))
+
+    size = scaled(share, reached, truth, close=0.03, tries=10)
+    for k, seen in enumerate(motions):
+        efforts[k] += truth.law(seen, site, size)
+    where = truth.where(site, engine.joints, bodies)
+    beside = {name: where for name in truth.companions if name not in hidden}
+    places = dict.fromkeys([*hidden.get(draw.unusual, ()), *where])
+    return hidden | {draw.unusual: tuple(places)}, beside, share
 
 
 def _spoiled(recording: Recording, draw: Draw, limits: Array, drawn: dict[str, Any]) -> Recording:
@@ -170,6 +232,11 @@ def score_draw(draw: Draw) -> dict[str, Any]:
     return row | explained(arm(draw.robot).model, recording, is_off=drawn["off"] > 0.0)
 
 
+def _is_unusual_named(row: Row) -> bool:
+    named = {step["effect"] for step in row["steps"] if step["right"]}
+    return row["unusual"] in named and not any(row["unusual"] in words for words in row["missing"])
+
+
 def lines_of(rows: Sequence[Row]) -> list[Line]:
     """Return all report lines."""
     tools = [row for row in rows if row["mass"]]
@@ -179,6 +246,7 @@ def lines_of(rows: Sequence[Row]) -> list[Line]:
         share("everyday: everything named", [not row["missing"] for row in rows]),
         share("everyday: nothing else named", [not row["wrong"] for row in rows]),
         share("a wrong name at > 0.9", [is_sure_and_wrong(row) for row in rows], most=True),
+        share("unusual effect named", [_is_unusual_named(row) for row in rows if row["unusual"]]),
         share("tool named", ["found_mass" in row for row in tools]),
         share("tool's mass inside its interval", [row["mass_inside"] for row in found]),
         median("seconds of CPU, median", seconds),
@@ -192,9 +260,14 @@ def main() -> None:
     number = {"type": positive_number, "metavar": "N"}
     parser.add_argument("--draws", default=len(ARMS), **number, help="draws, arms in turn")
     parser.add_argument("--spoiled", action="store_true", help="logs have faults")
+    parser.add_argument("--unusual", action="store_true", help="robots have unusual effects")
     options = parser.parse_args()
     shared = {"seed": options.seed, "is_spoiled": options.spoiled}
-    draws = [Draw(ARMS[k % len(ARMS)], k, **shared) for k in range(options.draws)]
+    rare = [name for name in TRUTHS if name not in _USUAL] if options.unusual else [""]
+    draws = [
+        Draw(ARMS[k % len(ARMS)], k, unusual=rare[k % len(rare)], **shared)
+        for k in range(options.draws)
+    ]
     if options.quick:
         draws = [Draw("ur5", 1, duration=12.0, **shared)]
     rows = run_draws(parser, options, score_draw, draws)

@@ -192,7 +192,6 @@ _ONE_AT_A_JOINT: tuple[set[str], ...] = (
 )
 """A spring with an offset is one of another rest; asymmetric friction with an offset, or with more
 friction, is asymmetric friction of other heights and slopes."""
-_TURNS = 6  # changes of the load's sign
 _RUBBING = 0.08
 
 
@@ -276,9 +275,7 @@ def _sites(
     kinds: list[truths.Truth], load: engines.Array, rng: engines.Generator
 ) -> list[truths.Site]:
     """Return where effects act; two on joints share one in half of the logs."""
-    found: list[truths.Site] = []
-    n, turns = load.shape[1], (np.diff(np.sign(load), axis=0) != 0).sum(0)
-    turning = np.flatnonzero(turns >= min(_TURNS, turns.max()))
+    found, n = list[truths.Site](), load.shape[1]
     for kind in kinds:
         own = rng.spawn(1)[0]
         joint = int(rng.integers(n))
@@ -286,17 +283,7 @@ def _sites(
             joint = found[0].joint
         if found and joint == found[0].joint and {kind.name for kind in kinds} in _ONE_AT_A_JOINT:
             joint = (joint + 1) % n
-        other = int(rng.choice([j for j in range(n) if j != joint]))
-        if kind.reverses:
-            joint = int(turning[joint % len(turning)])
-        elif kind.places == truths.PAIR:
-            joint = min(joint, n - 2)
-            other = joint + 1
-        elif kind.name == truths.HELD:
-            joint = n - 1
-        elif kind.places in (truths.BODY, truths.LINK) and kind.name != truths.WRONG_INERTIA:
-            joint = int(rng.integers(n // 2, n))
-        found.append(truths.Site(joint, other, own))
+        found.append(truths.Site(*kind.placed(joint, load, rng), own))
     return found
 
 
@@ -323,9 +310,7 @@ def _hide(
     found, share = shares(effort)
     acted = tuple(joints[j] for j in np.flatnonzero(found >= _ACTED_UPON * found.max()))
     own, other = joints[site.joint], joints[site.other]
-    where = {truths.PAIR: (own, other), truths.BODY: (bodies[site.joint],), truths.ROBOT: ()}.get(
-        kind.places, (own,)
-    )
+    where = kind.where(site, joints, bodies)
     names = {truths.OWN: own, truths.OTHER: other}
     follows = tuple((names.get(whose, whose), what) for whose, what in kind.follows)
     return effort, Secret(kind.name, where, acted, share, kind.found(site, size), follows)

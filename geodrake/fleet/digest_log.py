@@ -103,7 +103,7 @@ class LogFacts:
 def reading_settings(reading: Reading) -> dict[str, Any]:
     """Return the reading options common to all logs, as plain data."""
     options = asdict(reading)
-    for name in ("episode", "ignored", "motorless", "limits", "sliding"):
+    for name in ("episode", "ignored", "motorless", "limits", "sliding", "links"):
         options.pop(name)
     if reading.usual_deviation == USUAL_GAIN_DEVIATION:  # missing in older folders
         options.pop("usual_deviation")

@@ -6,7 +6,7 @@ effort. A law draws the same random numbers at every call.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import partial
@@ -34,6 +34,7 @@ JOINT, PAIR, LINK, BODY, ROBOT = "joint", "pair", "link", "body", "robot"
 _BREAKAWAY = 5e-3  # rad/s
 _SOFTEST = 0.05  # rad, largest deflection of a gear
 _DENT = 0.05  # of the gap, deflection of a flank under the largest load
+_TURNS = 6  # changes of the load's sign at joints with backlash
 _FINE = 1e-3  # s, longest time step of a pendulum
 
 
@@ -171,6 +172,31 @@ class Truth:
         """Return the parameters that geodrake should find."""
         values = self.values(site.rng) if callable(self.values) else self.values
         return {name: float(size * value) for name, value in values.items()}
+
+    def where(self, site: Site, joints: Sequence[str], bodies: Sequence[str]) -> tuple[str, ...]:
+        """Return the joints or the body that are to be named; none for the whole robot."""
+        own, other = joints[site.joint], joints[site.other]
+        places = {PAIR: (own, other), BODY: (bodies[site.joint],), ROBOT: ()}
+        return places.get(self.places, (own,))
+
+    def placed(self, joint: int, load: Array, rng: Generator) -> tuple[int, int]:
+        """Return the joint near a random one at which it can act, and a second joint of pairs.
+
+        The `load` (N, n) is that of the joints; bodies have the numbers of their joints.
+        """
+        n, turns = load.shape[1], (np.diff(np.sign(load), axis=0) != 0).sum(0)
+        other = int(rng.choice([j for j in range(n) if j != joint]))
+        if self.reverses:
+            turning = np.flatnonzero(turns >= min(_TURNS, turns.max()))
+            joint = int(turning[joint % len(turning)])
+        elif self.places == PAIR:
+            joint = min(joint, n - 2)
+            other = joint + 1
+        elif self.name == HELD:
+            joint = n - 1
+        elif self.places in (BODY, LINK) and self.name != WRONG_INERTIA:
+            joint = int(rng.integers(n // 2, n))
+        return joint, other
 
 
 def scaled(
