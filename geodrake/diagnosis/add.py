@@ -60,7 +60,9 @@ def add(
         hold_resting=hold_resting,
     )
     _check_effect(kind, case.model, where)
-    search = Search(case).forced(kind, _places(kind, case, where), _further(kind, case, where))
+    search = Search(case, everywhere=True).forced(
+        kind, _places(kind, case, where), _further(kind, case, where)
+    )
     findings = [finding for finding in findings_of(search) if finding.name == kind.name]
     result = explained(case, search, findings, forced=True).explanation
     added = {term.effect for term in search.fit.terms}

@@ -29,10 +29,9 @@ class Beliefs:
         wrong: Width beyond which the model file counts as wrong.
         fitted: Odds against a change of a body or effect that was fitted before.
         free: Prior widths of a single wrong body; each is tried.
-        payloads: Masses of payloads, from light to heavy, in tenths of the robot's mass; on a body
-            that carries others, the last but one.
+        payloads: Masses of payloads, from light to heavy, in tenths of the robot's mass.
         load: Prior width of each of these, as a geometric distance.
-        inner: Odds against a payload on a body that carries others.
+        inner: Odds against a single wrong body among those that may carry payloads.
         unknown: As `size`, for each term of an unknown function of the motion.
         curves: The same for an unknown curve over one signal as a whole; each is tried.
         reversal: As `size`, for friction at speeds that a log does not resolve.

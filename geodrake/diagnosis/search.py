@@ -43,6 +43,7 @@ from geodrake.effects.robot_motion import log_number
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import Case, reduced
 from geodrake.identification.logs.criteria import NOISE_MARGIN
+from geodrake.identification.logs.dataset import is_body
 from geodrake.identification.logs.model_fit import effects_of
 from geodrake.logs.folds import assign_folds
 
@@ -88,12 +89,27 @@ class Search:
     """Search for the terms that a model lacks."""
 
     def __init__(
-        self, case: Case, beliefs: Beliefs | None = None, progress: Progress | None = None
+        self,
+        case: Case,
+        beliefs: Beliefs | None = None,
+        progress: Progress | None = None,
+        *,
+        everywhere: bool = False,
     ) -> None:
+        """Start with the model without new terms.
+
+        Unless `everywhere`, payloads are on bodies that may carry loads: a heavier body that
+        carries others is a wrong one.
+        """
         self.case, self._beliefs, self._progress = case, beliefs or Beliefs(), progress
         self._accelerated = dict[Effect, Array]()  # effects of accelerations -> their values
         self._noise_of = case.model, case.loads, self._accelerated  # sources of the noise floor
-        self._effects = list(dict.fromkeys(case.dataset.effects))
+        loaded, known = case.model.load_bodies, effects_of(case.model)
+        self._effects = [
+            effect
+            for effect in dict.fromkeys(case.dataset.effects)
+            if everywhere or effect in known or not is_body(effect) or effect.where[0] in loaded
+        ]
         self._grid = tuple(self._effects)
         self._origin = case.model.delays
         self._step = float(np.abs(case.dataset.delays[1:, 0]).min(initial=np.inf))

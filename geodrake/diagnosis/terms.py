@@ -35,8 +35,6 @@ Key = tuple[str, tuple[str, ...]]
 _REACH = 2.0  # of a tool's center of mass, over that of the dataset's payload
 _COMPACT = np.repeat([1.0, 0.5, 0.25], [1, 3, 6])  # factors of a payload of half the size
 _SPREAD = 2.0 / 3.0  # inertia of a load about an axis, over its mass times squared distance
-_USUAL = -3
-"""Index of the prior of a payload on an inner body, in the order of mass, then size."""
 _PHYSICAL = 0.1
 """Share of a payload's prior that is physical, for any mass."""
 _FURTHEST = 3.0
@@ -166,15 +164,10 @@ def terms_of(
         everywhere, is_own = places[type(effect)], effect in fitted
         if is_body(effect):
             side = sides.get(effect.where[0], 0.0)
-            last = effect.where[0] in model.load_bodies
             if (side, is_own) not in loads:
                 loads[side, is_own] = _load_priors(load, side, beliefs, is_own=is_own)
             priors = loads[side, is_own]
-            if not (last or is_own):
-                priors = [priors[max(len(priors) + _USUAL, 0)]]
-            tips = sum(where[0] in model.load_bodies for where in everywhere)
-            odds = len(priors) * (tips + (len(everywhere) - tips) / beliefs.inner)
-            odds *= 1.0 if last else beliefs.inner
+            odds = float(len(priors) * len(everywhere))
         else:
             slabs = _slabs(effect, sizes[dataset.effect_columns(effect)], beliefs)
             odds = float(len(everywhere) * len(slabs))

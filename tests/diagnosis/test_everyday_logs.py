@@ -69,6 +69,19 @@ def test_plain_friction_is_not_taken_for_rare_effects(draw):
     assert row["missing"] == row["wrong"] == []
 
 
+def test_a_heavier_link_that_carries_others_is_wrong_and_no_payload():
+    """Nobody can tell what belongs to it; a payload can still be added there."""
+
+    def heavier(seen):
+        ball = pin.Inertia(1.0, np.array([0.05, 0.02, 0.1]), 1e-3 * np.eye(3))
+        return seen.with_body(3, lambda own: own + ball)
+
+    model, log = load_model(MODELS / "arm6.urdf"), effort_log("arm6", 5, heavier, duration=16.0).log
+    assert places(explain(model, [log])) == {"wrong_inertia": {"forearm"}}
+    (step,) = add("payload", model, [log], where=["forearm"]).steps
+    assert step.parameters["forearm"]["mass"] == pytest.approx(1.0, abs=0.1)
+
+
 @pytest.mark.thorough
 def test_common_effects_in_turn_are_not_taken_for_rare_ones():
     """In 40 s at 50 Hz: friction of six joints and a tool, which compensators could imitate."""
