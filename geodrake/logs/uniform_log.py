@@ -203,9 +203,14 @@ def _with_new_readings(log: JointLog) -> tuple[JointLog, int]:
     if efforts is None:
         return log, 1
     every, is_new = efforts
+    effort, measured = log.effort.copy(), np.isfinite(log.effort).any(axis=0)
+    readings = effort[:, measured]
     steps = np.diff(log.time, prepend=np.nan)  # after a lost row, a reading may be older
-    known = is_new & (steps < _LOST * np.nanmedian(steps)) & np.isfinite(log.effort).all(axis=1)
-    effort = CubicSpline(log.time[known], log.effort[known], extrapolate=False)(log.time)
+    known = is_new & (steps < _LOST * np.nanmedian(steps)) & np.isfinite(readings).all(axis=1)
+    if np.count_nonzero(known) < 2:
+        return log, 1
+    spline = CubicSpline(log.time[known], readings[known], extrapolate=False)
+    effort[:, measured] = spline(log.time)
     note = f"efforts change every {every} rows: interpolated between new ones"
     return replace(log, effort=effort, notes=(*log.notes, note)), every
 

@@ -231,6 +231,14 @@ def test_rows_without_new_positions_are_not_used():
     assert _error(trajectory.segments[0][:]) < 2e-3
 
 
+def test_held_efforts_beside_a_joint_without_any():
+    time = _uniform()
+    held = np.sin(RATES * time[:, None])[np.arange(len(time)) // 3 * 3]
+    held[:, 1] = np.nan
+    with pytest.raises(LogError, match="none has effort"):
+        make_uniform(_make_log(time, effort=held))
+
+
 def test_coarse_efforts_of_a_slower_source_are_found():
     time = _uniform()
     coarse = np.round(np.sin(RATES * time[:, None])[np.arange(len(time)) // 3 * 3], 1)
